@@ -1,0 +1,564 @@
+"""The published stack: CVXPY with disciplined parameters, CLARABEL, and a Numba-compiled discretisation.
+
+Algorithm 1 with subproblem (19): virtual control on the physical states, both it and the step from the
+reference penalised by their unsquared Euclidean norms. Elapsed effort phi and time t enter the subproblem
+linearly and nothing constrains them, so they are summed into the objective instead of kept as states.
+
+Run ``python -m benchmarks.rivals.paper`` for a table of the three-box problem.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import Any
+
+import clarabel  # noqa: F401  (fail here, not in the middle of a measurement, when it is missing)
+import cvxpy as cp
+import numpy as np
+from numba import njit
+
+from benchmarks.rivals.problem import (
+    STATES,
+    Floats,
+    LandingArrays,
+    extended_controls,
+    fly,
+    three_box,
+    worst_cone_gap,
+    worst_defect,
+    worst_escape,
+)
+
+# discretisation, equations (12)-(18)
+
+
+@dataclass(frozen=True, eq=False)
+class Discretisation:
+    """x[i+1] = A x[i] + B- v[i] + B+ v[i+1] + c, and the cost, linear about a reference; v = (u, s)."""
+
+    state: Floats
+    """A, (N - 1, 13, 13)."""
+    control_now: Floats
+    """B-, (N - 1, 13, m + 1)."""
+    control_next: Floats
+    """B+, (N - 1, 13, m + 1)."""
+    offset: Floats
+    """c = F - A x - B- v[i] - B+ v[i+1], (N - 1, 13)."""
+    flown: Floats
+    """F, (N - 1, 13): the reference flown from each node to the next."""
+    effort: float
+    """phi at the last node: the integral of |u| dt."""
+    effort_gradient: Floats
+    """Its derivative in v, (N, m + 1)."""
+
+
+def discretise(problem: LandingArrays, states: Floats, extended: Floats) -> Discretisation:
+    """Linearise the flow of every interval about states (N, 13) and extended controls (N, m + 1)."""
+    states, extended = np.ascontiguousarray(states), np.ascontiguousarray(extended)
+    flown, sensitivity = _flow(
+        states,
+        extended,
+        problem.substeps,
+        problem.thrust_map / problem.mass,
+        problem.torque_map,
+        problem.inertia,
+        np.linalg.inv(problem.inertia),
+        problem.gravity,
+    )
+    effort, effort_gradient = _effort(extended, problem.substeps)
+    width = extended.shape[1]
+    state = sensitivity[:, :, :STATES]
+    now = sensitivity[:, :, STATES : STATES + width]
+    following = sensitivity[:, :, STATES + width :]
+    linear = (
+        np.einsum("kij,kj->ki", state, states[:-1])
+        + np.einsum("kij,kj->ki", now, extended[:-1])
+        + np.einsum("kij,kj->ki", following, extended[1:])
+    )
+    return Discretisation(state, now, following, flown - linear, flown, effort, effort_gradient)
+
+
+@njit(cache=True)
+def _flow(states, extended, substeps, acceleration_map, torque_map, inertia, inverse_inertia, gravity):
+    """Flown states (N - 1, 13) and their sensitivities (N - 1, 13, 13 + 2 (m + 1)).
+
+    The sensitivity S to (x[i], v[i], v[i+1]) obeys S' = f_x S + [0, (1 - lambda) f_v, lambda f_v] with
+    S(0) = [I, 0, 0]: no inverse of the transition matrix is ever needed.
+    """
+    intervals, width = len(states) - 1, extended.shape[1]
+    flown, sensitivity = states[1:].copy(), np.zeros((intervals, 13, 13 + 2 * width))
+    h = 1.0 / substeps
+    shares = np.array([0.0, h / 2.0, h / 2.0, h])
+    weights = np.array([h / 6.0, h / 3.0, h / 3.0, h / 6.0])
+    slope, big_slope = np.zeros(13), np.zeros((13, 13 + 2 * width))
+    for i in range(intervals):
+        x, big = flown[i], sensitivity[i]
+        x[:] = states[i]
+        for row in range(13):
+            big[row, row] = 1.0
+        for step in range(substeps):
+            x_start, big_start = x.copy(), big.copy()
+            for stage in range(4):
+                fraction = step * h + shares[stage]
+                held = (1.0 - fraction) * extended[i] + fraction * extended[i + 1]
+                trial, big_trial = x_start + shares[stage] * slope, big_start + shares[stage] * big_slope
+                rate, in_state, in_thrust = _rate_and_jacobians(
+                    trial, held[:-1], acceleration_map, torque_map, inertia, inverse_inertia, gravity
+                )
+                scale = held[-1] / intervals
+                _variational_rate(rate, in_state, in_thrust, big_trial, scale, fraction, intervals, big_slope)
+                slope = scale * rate
+                x += weights[stage] * slope
+                big += weights[stage] * big_slope
+    return flown, sensitivity
+
+
+@njit(cache=True)
+def _variational_rate(rate, in_state, in_thrust, big, scale, fraction, intervals, big_rate):
+    """Write the sensitivity's rate, per unit of lambda in [0, 1] across one interval, into big_rate."""
+    rotors, columns = in_thrust.shape[1], big.shape[1]
+    big_rate[:] = 0.0
+    for row in range(13):
+        for inner in range(13):
+            entry = scale * in_state[row, inner]
+            if entry != 0.0:  # two thirds of f_x are zeros
+                for column in range(columns):
+                    big_rate[row, column] += entry * big[inner, column]
+        for control in range(rotors + 1):
+            entry = scale * in_thrust[row, control] if control < rotors else rate[row] / intervals
+            big_rate[row, 13 + control] += (1.0 - fraction) * entry
+            big_rate[row, 14 + rotors + control] += fraction * entry
+
+
+@njit(cache=True)
+def _rate_and_jacobians(x, thrusts, acceleration_map, torque_map, inertia, inverse_inertia, gravity):
+    """Equations (1)-(6): dx/dt (13,), its Jacobian in x (13, 13) and in the thrusts (13, m)."""
+    w, r, omega = x[6], x[7:10], x[10:13]
+    rate, in_state = np.zeros(13), np.zeros((13, 13))
+    in_thrust = np.zeros((13, len(thrusts)))
+
+    rate[0:3] = x[3:6]
+    for axis in range(3):
+        in_state[axis, 3 + axis] = 1.0
+
+    # R(q) a = a + 2 w r x a + 2 r x (r x a)
+    a = acceleration_map @ thrusts
+    cross_r, cross_a = _cross_matrix(r), _cross_matrix(a)
+    rotation = np.eye(3) + 2.0 * w * cross_r + 2.0 * cross_r @ cross_r
+    rate[3:6] = rotation @ a
+    rate[5] -= gravity
+    in_state[3:6, 6] = 2.0 * cross_r @ a
+    in_state[3:6, 7:10] = (
+        2.0 * np.outer(r, a) - 4.0 * np.outer(a, r) + 2.0 * np.dot(r, a) * np.eye(3) - 2.0 * w * cross_a
+    )
+    in_thrust[3:6] = rotation @ acceleration_map
+
+    # q' = q (0, omega) / 2
+    cross_omega = _cross_matrix(omega)
+    rate[6] = -0.5 * np.dot(r, omega)
+    rate[7:10] = 0.5 * (w * omega + cross_r @ omega)
+    in_state[6, 7:10] = -0.5 * omega
+    in_state[6, 10:13] = -0.5 * r
+    in_state[7:10, 6] = 0.5 * omega
+    in_state[7:10, 7:10] = -0.5 * cross_omega
+    in_state[7:10, 10:13] = 0.5 * (w * np.eye(3) + cross_r)
+
+    # J omega' = torque - omega x J omega
+    momentum = inertia @ omega
+    rate[10:13] = inverse_inertia @ (torque_map @ thrusts - cross_omega @ momentum)
+    in_state[10:13, 10:13] = inverse_inertia @ (_cross_matrix(momentum) - cross_omega @ inertia)
+    in_thrust[10:13] = inverse_inertia @ torque_map
+    return rate, in_state, in_thrust
+
+
+@njit(cache=True)
+def _cross_matrix(a):
+    """The matrix (3, 3) with _cross_matrix(a) @ b = a x b."""
+    return np.array([[0.0, -a[2], a[1]], [a[2], 0.0, -a[0]], [-a[1], a[0], 0.0]])
+
+
+@njit(cache=True)
+def _effort(extended, substeps):
+    """phi at the last node and its gradient (N, m + 1); Runge-Kutta of a pure integral is Simpson's rule."""
+    nodes, width = extended.shape
+    effort, gradient = 0.0, np.zeros((nodes, width))
+    points = 2 * substeps
+    entry = np.empty(width)
+    for i in range(nodes - 1):
+        for j in range(points + 1):
+            simpson = 1.0 if j in (0, points) else (4.0 if j % 2 == 1 else 2.0)
+            weight = simpson / (3.0 * points * (nodes - 1))
+            fraction = j / points
+            held = (1.0 - fraction) * extended[i] + fraction * extended[i + 1]
+            size = np.sqrt(np.sum(held[:-1] ** 2))
+            effort += weight * size * held[-1]
+            entry[:-1] = weight * held[-1] * held[:-1] / size
+            entry[-1] = weight * size
+            gradient[i] += (1.0 - fraction) * entry
+            gradient[i + 1] += fraction * entry
+    return effort, gradient
+
+
+def time_gradient(nodes: int) -> Floats:
+    """Weights (N,) of the dilation in the final time: the trapezoid rule, exact under first-order hold."""
+    weights = np.full(nodes, 1.0 / (nodes - 1))
+    weights[[0, -1]] /= 2.0
+    return weights
+
+
+# the convex subproblem, equation (19)
+
+
+@dataclass(eq=False)
+class Subproblem:
+    """One compiled shape: variables, the parameters that change between iterations, and the CVXPY problem."""
+
+    problem: cp.Problem
+    states: cp.Variable
+    extended: cp.Variable
+    virtual: cp.Variable
+    parameters: dict[str, cp.Parameter]
+    dynamics: list[cp.Parameter]
+    compiled: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """Minimiser of one subproblem."""
+
+    states: Floats
+    extended: Floats
+    virtual: Floats
+    objective: float
+    setup_seconds: float
+    solver_seconds: float
+
+
+@lru_cache(maxsize=8)
+def _subproblem(nodes: int, rotors: int, faces: int, cone_nodes: tuple[int, ...]) -> Subproblem:
+    """State subproblem (19) once for a shape; every number in it is a parameter."""
+    states = cp.Variable((nodes, STATES), name="states")
+    extended = cp.Variable((nodes, rotors + 1), name="extended")
+    virtual = cp.Variable((nodes - 1, STATES), name="virtual")
+    virtual_norm = cp.Variable(nodes - 1, name="zeta")
+    step_norm = cp.Variable(nodes, name="xi")
+    parameters: dict[str, cp.Parameter] = {}
+
+    def given(name: str, *shape: int, **signs: bool) -> cp.Parameter:
+        return parameters.setdefault(name, cp.Parameter(shape, name=name, **signs))
+
+    dynamics = [cp.Parameter((STATES, STATES + 2 * (rotors + 1))) for _ in range(nodes - 1)]
+    flown = [
+        matrix @ cp.hstack([states[i], extended[i], extended[i + 1]]) for i, matrix in enumerate(dynamics)
+    ]
+    constraints = [
+        states[1:] == cp.vstack(flown) + given("offset", nodes - 1, STATES) + virtual,
+        cp.norm(virtual, axis=1) <= virtual_norm,
+        cp.norm(cp.hstack([states, extended]) - given("reference", nodes, STATES + rotors + 1), axis=1)
+        <= step_norm,
+        states[0] == given("start", STATES),
+        states[-1] == given("goal", STATES),
+        extended >= given("lower", nodes, rotors + 1),
+        extended <= given("upper", nodes, rotors + 1),
+        *path_constraints(states[:, :3], faces, cone_nodes, given),
+    ]
+    objective = (
+        cp.sum(cp.multiply(given("cost_gradient", nodes, rotors + 1), extended))
+        + given("weight_virtual", nonneg=True) * cp.sum(virtual_norm)
+        + given("weight_trust", nonneg=True) * cp.sum(step_norm)
+    )
+    problem = cp.Problem(cp.Minimize(objective), constraints)
+    return Subproblem(problem, states, extended, virtual, parameters, dynamics)
+
+
+def path_constraints(
+    positions: Any, faces: int, cone_nodes: tuple[int, ...], given: Callable[..., cp.Parameter]
+) -> list[cp.Constraint]:
+    """Corridor (20) at every node of positions (N, 3), and landing cone (21)-(22) at the active ones."""
+    nodes = positions.shape[0]
+    along = sum(
+        cp.multiply(given(f"normals_{axis}", nodes, faces), positions[:, [axis]] @ np.ones((1, faces)))
+        for axis in range(3)
+    )
+    constraints: list[cp.Constraint] = [along <= given("offsets", nodes, faces)]
+    if cone_nodes:
+        chosen = positions[list(cone_nodes)]
+        sideways = chosen[:, :2] - given("apex_sideways", len(cone_nodes), 2)
+        # cotangent * apex height is one parameter: a product of two would not be a disciplined one
+        upward = given("cotangent", nonneg=True) * chosen[:, 2] - given("apex_up")
+        constraints.append(cp.norm(sideways, axis=1) <= upward)
+    return constraints
+
+
+def set_path(problem: LandingArrays, parameters: dict[str, cp.Parameter]) -> None:
+    """Fill in the parameters of ``path_constraints``."""
+    for axis in range(3):
+        parameters[f"normals_{axis}"].value = problem.normals[:, :, axis]
+    parameters["offsets"].value = problem.offsets
+    if problem.cone_active.any():
+        count = len(_cone_nodes(problem))
+        parameters["apex_sideways"].value = np.tile(problem.cone_apex[:2], (count, 1))
+        parameters["cotangent"].value = problem.cone_cotangent
+        parameters["apex_up"].value = problem.cone_cotangent * problem.cone_apex[2]
+
+
+def _set_problem(subproblem: Subproblem, problem: LandingArrays) -> None:
+    """Fill in what stays the same during one run of Algorithm 1."""
+    parameters = subproblem.parameters
+    set_path(problem, parameters)
+    parameters["start"].value = problem.start
+    parameters["goal"].value = problem.goal
+    bounds = ((problem.thrust_min, problem.dilation_min), (problem.thrust_max, problem.dilation_max))
+    for name, (thrust, dilation) in zip(("lower", "upper"), bounds, strict=True):
+        parameters[name].value = np.tile(np.append(thrust, dilation), (problem.nodes, 1))
+    parameters["weight_virtual"].value = problem.weight_virtual
+    parameters["weight_trust"].value = problem.weight_trust
+
+
+def _set_reference(
+    subproblem: Subproblem, reference: Floats, model: Discretisation, cost_gradient: Floats
+) -> None:
+    """Fill in what each iteration of Algorithm 1 changes."""
+    matrices = np.concatenate([model.state, model.control_now, model.control_next], axis=2)
+    for parameter, matrix in zip(subproblem.dynamics, matrices, strict=True):
+        parameter.value = matrix
+    subproblem.parameters["offset"].value = model.offset
+    subproblem.parameters["reference"].value = reference
+    subproblem.parameters["cost_gradient"].value = cost_gradient
+
+
+def _compile(subproblem: Subproblem) -> float:
+    """Canonicalise once, and return the seconds that took; the parameters must hold values."""
+    if subproblem.compiled:
+        return 0.0
+    began = time.perf_counter()
+    subproblem.problem.get_problem_data(cp.CLARABEL)
+    subproblem.compiled = True
+    return time.perf_counter() - began
+
+
+def _solve_compiled(problem: cp.Problem) -> tuple[float, float]:
+    """Solve with CLARABEL; seconds inside CVXPY and inside CLARABEL. Raises where it has no solution."""
+    began = time.perf_counter()
+    data, chain, inverse = problem.get_problem_data(cp.CLARABEL, solver_opts={})
+    handed_over = time.perf_counter()
+    assert chain is not None
+    raw = chain.solve_via_data(problem, data)
+    solved = time.perf_counter()
+    problem.unpack_results(raw, chain, inverse)
+    if problem.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE):
+        raise RuntimeError(f"CLARABEL reports {problem.status}")
+    done = time.perf_counter()
+    return (handed_over - began) + (done - solved), solved - handed_over
+
+
+def _step(subproblem: Subproblem, reference: Floats, model: Discretisation, cost_gradient: Floats) -> Step:
+    """Solve subproblem (19) about one reference."""
+    began = time.perf_counter()
+    _set_reference(subproblem, reference, model, cost_gradient)
+    set_seconds = time.perf_counter() - began
+    cvxpy_seconds, solver_seconds = _solve_compiled(subproblem.problem)
+    return Step(
+        states=_value(subproblem.states),
+        extended=_value(subproblem.extended),
+        virtual=_value(subproblem.virtual),
+        objective=float(subproblem.problem.objective.value),  # pyright: ignore[reportArgumentType]
+        setup_seconds=set_seconds + cvxpy_seconds,
+        solver_seconds=solver_seconds,
+    )
+
+
+def _value(variable: cp.Variable) -> Floats:
+    """Value of a variable after a successful solve."""
+    return np.array(variable.value, dtype=np.float64)
+
+
+# Algorithm 1
+
+
+@dataclass(frozen=True)
+class PaperIteration:
+    """What one pass of Algorithm 1 did; costs are those of the linearised subproblem."""
+
+    objective: float
+    """Cost and both penalties."""
+    cost: float
+    """w_u phi_N + w_t t_N."""
+    final_time: float
+    """Seconds."""
+    virtual: float
+    """Largest |nu_i|."""
+    step: float
+    """Largest |z_k - zref_k|."""
+    discretise_seconds: float
+    setup_seconds: float
+    """In CVXPY: parameter values, the program's data, reading the answer back."""
+    solver_seconds: float
+    """In CLARABEL."""
+
+
+@dataclass(frozen=True, eq=False)
+class PaperRun:
+    """A run of Algorithm 1."""
+
+    iterations: list[PaperIteration]
+    compile_seconds: float
+    """Numba and CVXPY together; near zero once a shape has been solved."""
+    states: Floats
+    controls: Floats
+    dilation: Floats
+    converged: bool
+    history: list[Floats] = field(repr=False)
+    """Every iterate (N, 13 + m + 1), the guess first."""
+
+    @property
+    def seconds(self) -> float:
+        """Time in the loop, compilation left out."""
+        return sum(r.discretise_seconds + r.setup_seconds + r.solver_seconds for r in self.iterations)
+
+
+def solve(problem: LandingArrays) -> PaperRun:
+    """Run Algorithm 1 from the guess in the problem."""
+    states, extended = problem.states, extended_controls(problem)
+    began = time.perf_counter()
+    discretise(problem, states, extended)  # the first call compiles
+    subproblem = _subproblem(problem.nodes, problem.rotors, problem.offsets.shape[1], _cone_nodes(problem))
+    _set_problem(subproblem, problem)
+    compile_seconds = time.perf_counter() - began
+
+    records, history = [], [np.column_stack([states, extended])]
+    converged = False
+    while not converged and len(records) < problem.max_iterations:
+        began = time.perf_counter()
+        model = discretise(problem, states, extended)
+        cost_gradient = problem.weight_control * model.effort_gradient
+        cost_gradient[:, -1] += problem.weight_time * time_gradient(problem.nodes)
+        discretise_seconds = time.perf_counter() - began
+
+        if not records:
+            _set_reference(subproblem, history[-1], model, cost_gradient)
+            compile_seconds += _compile(subproblem)
+        step = _step(subproblem, history[-1], model, cost_gradient)
+        constant = problem.weight_control * (model.effort - np.sum(model.effort_gradient * extended))
+        candidate = np.column_stack([step.states, step.extended])
+        record = PaperIteration(
+            objective=step.objective + constant,
+            cost=float(np.sum(cost_gradient * step.extended) + constant),
+            final_time=float(time_gradient(problem.nodes) @ step.extended[:, -1]),
+            virtual=float(np.linalg.norm(step.virtual, axis=1).max()),
+            step=float(np.linalg.norm(candidate - history[-1], axis=1).max()),
+            discretise_seconds=discretise_seconds,
+            setup_seconds=step.setup_seconds,
+            solver_seconds=step.solver_seconds,
+        )
+        records.append(record)
+        history.append(candidate)
+        states, extended = step.states, step.extended
+        converged = record.virtual < problem.tolerance_virtual and record.step < problem.tolerance_trust
+    return PaperRun(records, compile_seconds, states, extended[:, :-1], extended[:, -1], converged, history)
+
+
+def _cone_nodes(problem: LandingArrays) -> tuple[int, ...]:
+    return tuple(int(node) for node in np.flatnonzero(problem.cone_active))
+
+
+# the initial guess, equations (25)-(26)
+
+
+@dataclass(frozen=True, eq=False)
+class DoubleIntegratorGuess:
+    """A point mass through the corridor at a fixed final time."""
+
+    positions: Floats
+    """(N, 3)."""
+    velocities: Floats
+    """(N, 3)."""
+    accelerations: Floats
+    """(N, 3), net of gravity."""
+    solve_seconds: float
+    """In CLARABEL."""
+    setup_seconds: float
+    """In CVXPY, compilation left out."""
+    compile_seconds: float
+    """Near zero once a shape has been solved."""
+
+
+@lru_cache(maxsize=8)
+def _guess_program(
+    nodes: int, faces: int, cone_nodes: tuple[int, ...]
+) -> tuple[cp.Problem, tuple[cp.Variable, cp.Variable, cp.Variable], dict[str, cp.Parameter]]:
+    """State program (26) once for a shape; p'' = a with a held to first order, integrated exactly."""
+    p, v, a = (cp.Variable((nodes, 3), name=name) for name in "pva")
+    parameters: dict[str, cp.Parameter] = {}
+
+    def given(name: str, *shape: int, **signs: bool) -> cp.Parameter:
+        return parameters.setdefault(name, cp.Parameter(shape, name=name, **signs))
+
+    h, h_squared = given("h", nonneg=True), given("h_squared", nonneg=True)
+    constraints = [
+        p[1:] == p[:-1] + h * v[:-1] + h_squared * (a[:-1] / 3 + a[1:] / 6),
+        v[1:] == v[:-1] + h * (a[:-1] + a[1:]) / 2,
+        *(p[k] == given(f"position_{k}", 3) for k in (0, nodes - 1)),
+        *(v[k] == given(f"velocity_{k}", 3) for k in (0, nodes - 1)),
+        *path_constraints(p, faces, cone_nodes, given),
+    ]
+    problem = cp.Problem(cp.Minimize(cp.sum(cp.norm(a, axis=1))), constraints)
+    return problem, (p, v, a), parameters
+
+
+def double_integrator_guess(problem: LandingArrays, final_time: float) -> DoubleIntegratorGuess:
+    """Minimise the sum of |a_k| at a fixed final time in seconds, in the corridor and the landing cone."""
+    began = time.perf_counter()
+    program, variables, parameters = _guess_program(
+        problem.nodes, problem.offsets.shape[1], _cone_nodes(problem)
+    )
+    stated = time.perf_counter() - began
+    set_path(problem, parameters)
+    parameters["h"].value = final_time * problem.interval
+    parameters["h_squared"].value = (final_time * problem.interval) ** 2
+    for k, state in ((0, problem.start), (problem.nodes - 1, problem.goal)):
+        parameters[f"position_{k}"].value = state[0:3]
+        parameters[f"velocity_{k}"].value = state[3:6]
+    began = time.perf_counter()
+    program.get_problem_data(cp.CLARABEL)  # compiles where this shape is new
+    compile_seconds = stated + time.perf_counter() - began
+    setup_seconds, solve_seconds = _solve_compiled(program)
+    p, v, a = (_value(variable) for variable in variables)
+    return DoubleIntegratorGuess(p, v, a, solve_seconds, setup_seconds, compile_seconds)
+
+
+def main() -> None:
+    """Print a short table of the three-box problem."""
+    problem = three_box()
+    print(
+        "w_tr  w_t  subproblems  converged    cost   t_f s  escape m  defect"
+        "  ms each: discretise  CVXPY  CLARABEL"
+    )
+    for weight_trust, weight_time in ((10.0, 0.0), (10.0, 5.0), (1.0, 0.0)):
+        asked = replace(problem, weight_trust=weight_trust, weight_time=weight_time)
+        solve(asked)  # compiles
+        run = solve(asked)
+        last = run.iterations[-1]
+        flown = fly(problem, run.states, run.controls, run.dilation)
+        discretising, setting_up, solving = (
+            1e3 * np.median([getattr(record, name) for record in run.iterations])
+            for name in ("discretise_seconds", "setup_seconds", "solver_seconds")
+        )
+        print(
+            f"{weight_trust:4.1f} {weight_time:4.1f} {len(run.iterations):12d}  {run.converged!s:>9} "
+            f"{last.cost:7.3f} {last.final_time:7.3f} {worst_escape(problem, flown[:, :, :3]):9.3f} "
+            f"{worst_defect(problem, run.states, flown):7.0e} "
+            f"{discretising:20.1f} {setting_up:6.1f} {solving:9.1f}"
+        )
+    double_integrator_guess(problem, 6.0)
+    guess = double_integrator_guess(problem, 6.0)
+    cone_gap = worst_cone_gap(problem, guess.positions[problem.cone_active])
+    print(
+        f"guess (26) at 6 s: {1e3 * guess.solve_seconds:.1f} ms in CLARABEL, "
+        f"{1e3 * guess.setup_seconds:.1f} ms in CVXPY, worst cone gap {cone_gap:.0e} m"
+    )
+
+
+if __name__ == "__main__":
+    main()
