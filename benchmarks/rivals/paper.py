@@ -1,8 +1,8 @@
 """The published stack: CVXPY with disciplined parameters, CLARABEL, and a Numba-compiled discretisation.
 
 Algorithm 1 with subproblem (19): virtual control on the physical states, both it and the step from the
-reference penalised by their unsquared Euclidean norms. Elapsed effort phi and time t enter the subproblem
-linearly and nothing constrains them, so they are summed into the objective instead of kept as states.
+reference penalised by their unsquared Euclidean norms. The step is that of the extended state, so it counts
+elapsed effort phi and time t too; ``elapsed_in_trust=False`` leaves those two out.
 
 Run ``python -m benchmarks.rivals.paper`` for a table of the three-box problem.
 """
@@ -35,7 +35,7 @@ from benchmarks.rivals.problem import (
 
 @dataclass(frozen=True, eq=False)
 class Discretisation:
-    """x[i+1] = A x[i] + B- v[i] + B+ v[i+1] + c, and the cost, linear about a reference; v = (u, s)."""
+    """x[i+1] = A x[i] + B- v[i] + B+ v[i+1] + c, and the effort of each interval likewise; v = (u, s)."""
 
     state: Floats
     """A, (N - 1, 13, 13)."""
@@ -47,10 +47,12 @@ class Discretisation:
     """c = F - A x - B- v[i] - B+ v[i+1], (N - 1, 13)."""
     flown: Floats
     """F, (N - 1, 13): the reference flown from each node to the next."""
-    effort: float
-    """phi at the last node: the integral of |u| dt."""
-    effort_gradient: Floats
-    """Its derivative in v, (N, m + 1)."""
+    effort: Floats
+    """Integral of |u| dt over each interval of the reference, (N - 1,)."""
+    effort_now: Floats
+    """Its derivative in v[i], (N - 1, m + 1)."""
+    effort_next: Floats
+    """Its derivative in v[i+1], (N - 1, m + 1)."""
 
 
 def discretise(problem: LandingArrays, states: Floats, extended: Floats) -> Discretisation:
@@ -66,7 +68,6 @@ def discretise(problem: LandingArrays, states: Floats, extended: Floats) -> Disc
         np.linalg.inv(problem.inertia),
         problem.gravity,
     )
-    effort, effort_gradient = _effort(extended, problem.substeps)
     width = extended.shape[1]
     state = sensitivity[:, :, :STATES]
     now = sensitivity[:, :, STATES : STATES + width]
@@ -76,7 +77,7 @@ def discretise(problem: LandingArrays, states: Floats, extended: Floats) -> Disc
         + np.einsum("kij,kj->ki", now, extended[:-1])
         + np.einsum("kij,kj->ki", following, extended[1:])
     )
-    return Discretisation(state, now, following, flown - linear, flown, effort, effort_gradient)
+    return Discretisation(state, now, following, flown - linear, flown, *_effort(extended, problem.substeps))
 
 
 @njit(cache=True)
@@ -180,31 +181,32 @@ def _cross_matrix(a):
 
 @njit(cache=True)
 def _effort(extended, substeps):
-    """phi at the last node and its gradient (N, m + 1); Runge-Kutta of a pure integral is Simpson's rule."""
-    nodes, width = extended.shape
-    effort, gradient = 0.0, np.zeros((nodes, width))
+    """Effort of each interval and its two gradients; Runge-Kutta of a pure integral is Simpson's rule."""
+    intervals, width = len(extended) - 1, extended.shape[1]
+    effort = np.zeros(intervals)
+    now, following = np.zeros((intervals, width)), np.zeros((intervals, width))
     points = 2 * substeps
     entry = np.empty(width)
-    for i in range(nodes - 1):
+    for i in range(intervals):
         for j in range(points + 1):
             simpson = 1.0 if j in (0, points) else (4.0 if j % 2 == 1 else 2.0)
-            weight = simpson / (3.0 * points * (nodes - 1))
+            weight = simpson / (3.0 * points * intervals)
             fraction = j / points
             held = (1.0 - fraction) * extended[i] + fraction * extended[i + 1]
             size = np.sqrt(np.sum(held[:-1] ** 2))
-            effort += weight * size * held[-1]
+            effort[i] += weight * size * held[-1]
             entry[:-1] = weight * held[-1] * held[:-1] / size
             entry[-1] = weight * size
-            gradient[i] += (1.0 - fraction) * entry
-            gradient[i + 1] += fraction * entry
-    return effort, gradient
+            now[i] += (1.0 - fraction) * entry
+            following[i] += fraction * entry
+    return effort, now, following
 
 
-def time_gradient(nodes: int) -> Floats:
-    """Weights (N,) of the dilation in the final time: the trapezoid rule, exact under first-order hold."""
-    weights = np.full(nodes, 1.0 / (nodes - 1))
-    weights[[0, -1]] /= 2.0
-    return weights
+def elapsed_along(problem: LandingArrays, extended: Floats) -> Floats:
+    """Effort phi and time t at every node, (N, 2), from zero; the trapezoid rule is exact for t."""
+    effort, _, _ = _effort(np.ascontiguousarray(extended), problem.substeps)
+    duration = problem.interval * (extended[:-1, -1] + extended[1:, -1]) / 2.0
+    return np.concatenate([np.zeros((1, 2)), np.cumsum(np.column_stack([effort, duration]), axis=0)])
 
 
 # the convex subproblem, equation (19)
@@ -217,29 +219,36 @@ class Subproblem:
     problem: cp.Problem
     states: cp.Variable
     extended: cp.Variable
+    elapsed: cp.Variable
     virtual: cp.Variable
     parameters: dict[str, cp.Parameter]
     dynamics: list[cp.Parameter]
-    compiled: bool = False
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
-    """Minimiser of one subproblem."""
+class Iterate:
+    """A reference trajectory or a subproblem's minimiser."""
 
     states: Floats
+    """(N, 13)."""
     extended: Floats
-    virtual: Floats
-    objective: float
-    setup_seconds: float
-    solver_seconds: float
+    """(N, m + 1): thrusts and dilation."""
+    elapsed: Floats
+    """(N, 2): effort phi and time t so far."""
+
+    def stacked(self) -> Floats:
+        """The rows z_k, (N, 13 + m + 1 + 2); the elapsed pair last, so that it can be cut off."""
+        return np.column_stack([self.states, self.extended, self.elapsed])
 
 
 @lru_cache(maxsize=8)
-def _subproblem(nodes: int, rotors: int, faces: int, cone_nodes: tuple[int, ...]) -> Subproblem:
+def _subproblem(
+    nodes: int, rotors: int, faces: int, cone_nodes: tuple[int, ...], elapsed_in_trust: bool
+) -> Subproblem:
     """State subproblem (19) once for a shape; every number in it is a parameter."""
     states = cp.Variable((nodes, STATES), name="states")
     extended = cp.Variable((nodes, rotors + 1), name="extended")
+    elapsed = cp.Variable((nodes, 2), name="elapsed")
     virtual = cp.Variable((nodes - 1, STATES), name="virtual")
     virtual_norm = cp.Variable(nodes - 1, name="zeta")
     step_norm = cp.Variable(nodes, name="xi")
@@ -252,11 +261,19 @@ def _subproblem(nodes: int, rotors: int, faces: int, cone_nodes: tuple[int, ...]
     flown = [
         matrix @ cp.hstack([states[i], extended[i], extended[i + 1]]) for i, matrix in enumerate(dynamics)
     ]
+    efforts = cp.sum(
+        cp.multiply(given("effort_now", nodes - 1, rotors + 1), extended[:-1])
+        + cp.multiply(given("effort_next", nodes - 1, rotors + 1), extended[1:]),
+        axis=1,
+    )
+    moved = cp.hstack([states, extended, elapsed] if elapsed_in_trust else [states, extended])
     constraints = [
         states[1:] == cp.vstack(flown) + given("offset", nodes - 1, STATES) + virtual,
         cp.norm(virtual, axis=1) <= virtual_norm,
-        cp.norm(cp.hstack([states, extended]) - given("reference", nodes, STATES + rotors + 1), axis=1)
-        <= step_norm,
+        elapsed[0] == 0.0,
+        elapsed[1:, 0] == elapsed[:-1, 0] + efforts + given("effort_offset", nodes - 1),
+        elapsed[1:, 1] == elapsed[:-1, 1] + (extended[:-1, -1] + extended[1:, -1]) / (2 * (nodes - 1)),
+        cp.norm(moved - given("reference", *moved.shape), axis=1) <= step_norm,
         states[0] == given("start", STATES),
         states[-1] == given("goal", STATES),
         extended >= given("lower", nodes, rotors + 1),
@@ -264,12 +281,13 @@ def _subproblem(nodes: int, rotors: int, faces: int, cone_nodes: tuple[int, ...]
         *path_constraints(states[:, :3], faces, cone_nodes, given),
     ]
     objective = (
-        cp.sum(cp.multiply(given("cost_gradient", nodes, rotors + 1), extended))
+        given("weight_control", nonneg=True) * elapsed[-1, 0]
+        + given("weight_time", nonneg=True) * elapsed[-1, 1]
         + given("weight_virtual", nonneg=True) * cp.sum(virtual_norm)
         + given("weight_trust", nonneg=True) * cp.sum(step_norm)
     )
     problem = cp.Problem(cp.Minimize(objective), constraints)
-    return Subproblem(problem, states, extended, virtual, parameters, dynamics)
+    return Subproblem(problem, states, extended, elapsed, virtual, parameters, dynamics)
 
 
 def path_constraints(
@@ -312,30 +330,22 @@ def _set_problem(subproblem: Subproblem, problem: LandingArrays) -> None:
     bounds = ((problem.thrust_min, problem.dilation_min), (problem.thrust_max, problem.dilation_max))
     for name, (thrust, dilation) in zip(("lower", "upper"), bounds, strict=True):
         parameters[name].value = np.tile(np.append(thrust, dilation), (problem.nodes, 1))
-    parameters["weight_virtual"].value = problem.weight_virtual
-    parameters["weight_trust"].value = problem.weight_trust
+    for name in ("weight_control", "weight_time", "weight_virtual", "weight_trust"):
+        parameters[name].value = getattr(problem, name)
 
 
-def _set_reference(
-    subproblem: Subproblem, reference: Floats, model: Discretisation, cost_gradient: Floats
-) -> None:
+def _set_reference(subproblem: Subproblem, reference: Iterate, model: Discretisation) -> None:
     """Fill in what each iteration of Algorithm 1 changes."""
     matrices = np.concatenate([model.state, model.control_now, model.control_next], axis=2)
     for parameter, matrix in zip(subproblem.dynamics, matrices, strict=True):
         parameter.value = matrix
-    subproblem.parameters["offset"].value = model.offset
-    subproblem.parameters["reference"].value = reference
-    subproblem.parameters["cost_gradient"].value = cost_gradient
-
-
-def _compile(subproblem: Subproblem) -> float:
-    """Canonicalise once, and return the seconds that took; the parameters must hold values."""
-    if subproblem.compiled:
-        return 0.0
-    began = time.perf_counter()
-    subproblem.problem.get_problem_data(cp.CLARABEL)
-    subproblem.compiled = True
-    return time.perf_counter() - began
+    parameters, extended = subproblem.parameters, reference.extended
+    parameters["offset"].value = model.offset
+    parameters["effort_now"].value = model.effort_now
+    parameters["effort_next"].value = model.effort_next
+    linear = np.sum(model.effort_now * extended[:-1] + model.effort_next * extended[1:], axis=1)
+    parameters["effort_offset"].value = model.effort - linear
+    parameters["reference"].value = reference.stacked()[:, : parameters["reference"].shape[1]]
 
 
 def _solve_compiled(problem: cp.Problem) -> tuple[float, float]:
@@ -351,22 +361,6 @@ def _solve_compiled(problem: cp.Problem) -> tuple[float, float]:
         raise RuntimeError(f"CLARABEL reports {problem.status}")
     done = time.perf_counter()
     return (handed_over - began) + (done - solved), solved - handed_over
-
-
-def _step(subproblem: Subproblem, reference: Floats, model: Discretisation, cost_gradient: Floats) -> Step:
-    """Solve subproblem (19) about one reference."""
-    began = time.perf_counter()
-    _set_reference(subproblem, reference, model, cost_gradient)
-    set_seconds = time.perf_counter() - began
-    cvxpy_seconds, solver_seconds = _solve_compiled(subproblem.problem)
-    return Step(
-        states=_value(subproblem.states),
-        extended=_value(subproblem.extended),
-        virtual=_value(subproblem.virtual),
-        objective=float(subproblem.problem.objective.value),  # pyright: ignore[reportArgumentType]
-        setup_seconds=set_seconds + cvxpy_seconds,
-        solver_seconds=solver_seconds,
-    )
 
 
 def _value(variable: cp.Variable) -> Floats:
@@ -404,13 +398,13 @@ class PaperRun:
 
     iterations: list[PaperIteration]
     compile_seconds: float
-    """Numba and CVXPY together; near zero once a shape has been solved."""
+    """Preparing the first subproblem, which compiles Numba and CVXPY where the shape is new."""
     states: Floats
     controls: Floats
     dilation: Floats
     converged: bool
-    history: list[Floats] = field(repr=False)
-    """Every iterate (N, 13 + m + 1), the guess first."""
+    history: list[Iterate] = field(repr=False)
+    """Every iterate, the guess first."""
 
     @property
     def seconds(self) -> float:
@@ -418,45 +412,74 @@ class PaperRun:
         return sum(r.discretise_seconds + r.setup_seconds + r.solver_seconds for r in self.iterations)
 
 
-def solve(problem: LandingArrays) -> PaperRun:
-    """Run Algorithm 1 from the guess in the problem."""
-    states, extended = problem.states, extended_controls(problem)
-    began = time.perf_counter()
-    discretise(problem, states, extended)  # the first call compiles
-    subproblem = _subproblem(problem.nodes, problem.rotors, problem.offsets.shape[1], _cone_nodes(problem))
-    _set_problem(subproblem, problem)
-    compile_seconds = time.perf_counter() - began
+def solve(problem: LandingArrays, elapsed_in_trust: bool = True) -> PaperRun:
+    """Run Algorithm 1 from the guess in the problem.
 
-    records, history = [], [np.column_stack([states, extended])]
+    Args:
+        problem: what to solve.
+        elapsed_in_trust: whether z_k holds phi and t beside the state, the thrusts and the dilation.
+    """
+    subproblem, compile_seconds = _prepare(problem, elapsed_in_trust)
+    extended = extended_controls(problem)
+    reference = Iterate(problem.states, extended, elapsed_along(problem, extended))
+    records, history = [], [reference]
     converged = False
     while not converged and len(records) < problem.max_iterations:
-        began = time.perf_counter()
-        model = discretise(problem, states, extended)
-        cost_gradient = problem.weight_control * model.effort_gradient
-        cost_gradient[:, -1] += problem.weight_time * time_gradient(problem.nodes)
-        discretise_seconds = time.perf_counter() - began
-
-        if not records:
-            _set_reference(subproblem, history[-1], model, cost_gradient)
-            compile_seconds += _compile(subproblem)
-        step = _step(subproblem, history[-1], model, cost_gradient)
-        constant = problem.weight_control * (model.effort - np.sum(model.effort_gradient * extended))
-        candidate = np.column_stack([step.states, step.extended])
-        record = PaperIteration(
-            objective=step.objective + constant,
-            cost=float(np.sum(cost_gradient * step.extended) + constant),
-            final_time=float(time_gradient(problem.nodes) @ step.extended[:, -1]),
-            virtual=float(np.linalg.norm(step.virtual, axis=1).max()),
-            step=float(np.linalg.norm(candidate - history[-1], axis=1).max()),
-            discretise_seconds=discretise_seconds,
-            setup_seconds=step.setup_seconds,
-            solver_seconds=step.solver_seconds,
-        )
+        reference, record = _iterate(problem, subproblem, reference)
         records.append(record)
-        history.append(candidate)
-        states, extended = step.states, step.extended
+        history.append(reference)
         converged = record.virtual < problem.tolerance_virtual and record.step < problem.tolerance_trust
-    return PaperRun(records, compile_seconds, states, extended[:, :-1], extended[:, -1], converged, history)
+    return PaperRun(
+        iterations=records,
+        compile_seconds=compile_seconds,
+        states=reference.states,
+        controls=reference.extended[:, :-1],
+        dilation=reference.extended[:, -1],
+        converged=converged,
+        history=history,
+    )
+
+
+def _prepare(problem: LandingArrays, elapsed_in_trust: bool) -> tuple[Subproblem, float]:
+    """The subproblem of this shape, filled in for this problem, and the seconds spent on compiling."""
+    began = time.perf_counter()
+    extended = extended_controls(problem)
+    model = discretise(problem, problem.states, extended)  # the first call compiles
+    reference = Iterate(problem.states, extended, elapsed_along(problem, extended))
+    subproblem = _subproblem(
+        problem.nodes, problem.rotors, problem.offsets.shape[1], _cone_nodes(problem), elapsed_in_trust
+    )
+    _set_problem(subproblem, problem)
+    _set_reference(subproblem, reference, model)
+    subproblem.problem.get_problem_data(cp.CLARABEL)  # canonicalises a new shape
+    return subproblem, time.perf_counter() - began
+
+
+def _iterate(
+    problem: LandingArrays, subproblem: Subproblem, reference: Iterate
+) -> tuple[Iterate, PaperIteration]:
+    """One pass of Algorithm 1: discretise about the reference and solve subproblem (19)."""
+    began = time.perf_counter()
+    model = discretise(problem, reference.states, reference.extended)
+    discretised = time.perf_counter()
+    _set_reference(subproblem, reference, model)
+    set_seconds = time.perf_counter() - discretised
+    cvxpy_seconds, solver_seconds = _solve_compiled(subproblem.problem)
+
+    found = Iterate(_value(subproblem.states), _value(subproblem.extended), _value(subproblem.elapsed))
+    counted = subproblem.parameters["reference"].shape[1]
+    step = (found.stacked() - reference.stacked())[:, :counted]
+    effort, final_time = found.elapsed[-1]
+    return found, PaperIteration(
+        objective=float(subproblem.problem.objective.value),  # pyright: ignore[reportArgumentType]
+        cost=float(problem.weight_control * effort + problem.weight_time * final_time),
+        final_time=float(final_time),
+        virtual=float(np.linalg.norm(_value(subproblem.virtual), axis=1).max()),
+        step=float(np.linalg.norm(step, axis=1).max()),
+        discretise_seconds=discretised - began,
+        setup_seconds=set_seconds + cvxpy_seconds,
+        solver_seconds=solver_seconds,
+    )
 
 
 def _cone_nodes(problem: LandingArrays) -> tuple[int, ...]:
@@ -535,7 +558,7 @@ def main() -> None:
         "w_tr  w_t  subproblems  converged    cost   t_f s  escape m  defect"
         "  ms each: discretise  CVXPY  CLARABEL"
     )
-    for weight_trust, weight_time in ((10.0, 0.0), (10.0, 5.0), (1.0, 0.0)):
+    for weight_trust, weight_time in ((10.0, 0.0), (10.0, 5.0), (0.1, 0.0)):
         asked = replace(problem, weight_trust=weight_trust, weight_time=weight_time)
         solve(asked)  # compiles
         run = solve(asked)

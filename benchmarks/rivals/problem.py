@@ -94,7 +94,7 @@ def extended_controls(problem: LandingArrays) -> Floats:
 
 def three_box() -> LandingArrays:
     """A level start at rest, two right-angled corners, and a landing under a 45 degree cone, on 30 nodes."""
-    nodes = 30
+    nodes, guessed_time = 30, 6.0
     corners = np.array([[0, 0, 1], [3.5, 0.2, 1.5], [3.5, 4.5, 1.5], [8, 4.5, 2], [8, 4.5, 0.5]], dtype=float)
     positions = along_polyline(corners, nodes)
     normals, offsets = roomiest_box(
@@ -105,6 +105,7 @@ def three_box() -> LandingArrays:
     mass, gravity = 0.928, 9.81
     thrust_map, torque_map = quadrotor_maps(arm=0.076, torque_ratio=0.016)
     states = np.array([at_rest(position) for position in positions])
+    states[1:-1, VELOCITY] = np.gradient(positions, guessed_time / (nodes - 1), axis=0)[1:-1]
     return LandingArrays(
         mass=mass,
         inertia=np.diag([2.5e-3, 2.1e-3, 4.3e-3]),
@@ -132,7 +133,7 @@ def three_box() -> LandingArrays:
         substeps=10,
         states=states,
         controls=np.full((nodes, 4), mass * gravity / 4),
-        dilation=np.full(nodes, 6.0),
+        dilation=np.full(nodes, guessed_time),
     )
 
 
