@@ -74,7 +74,9 @@ def connect(polytopes: Sequence[Polytope], joints: ArrayLike) -> Corridor:
     faces = max(polytope.offsets.size for polytope in polytopes)
     pads = [faces - polytope.offsets.size for polytope in polytopes]
     return Corridor(
-        normals=jnp.stack([jnp.pad(p.normals, ((0, n), (0, 0))) for p, n in zip(polytopes, pads, strict=True)]),
+        normals=jnp.stack(
+            [jnp.pad(p.normals, ((0, n), (0, 0))) for p, n in zip(polytopes, pads, strict=True)]
+        ),
         offsets=jnp.stack(
             [jnp.pad(p.offsets, (0, n), constant_values=1.0) for p, n in zip(polytopes, pads, strict=True)]
         ),

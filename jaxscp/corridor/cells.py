@@ -1,0 +1,155 @@
+"""One polytope a leg of a route, and the overlaps between them: on the device, in shapes known beforehand."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, ScalarLike
+
+from jaxscp.corridor.clouds import PointCloud
+from jaxscp.corridor.decompose import Cell, Decomposition
+from jaxscp.corridor.overlaps import Ball, deepest_ball, intersect
+from jaxscp.corridor.polytopes import Corridor, Polytope
+from jaxscp.types import Vector3
+
+_LEGS_A_CALL = 4
+_SMALLEST_BUCKET = 1024
+
+
+class Chain(eqx.Module):
+    """Polytopes along a route, and how well they hold together."""
+
+    corridor: Corridor
+    """The polytopes; its joints are the deepest points of their overlaps."""
+    overlaps: Float[Array, "joints"]
+    """Radius in metres of the widest ball in each overlap; negative where two polytopes do not meet."""
+    left: Int[Array, "polytopes"]
+    """Points that each polytope failed to cut away; all zero when the corridor may be used."""
+
+
+def chain(
+    method: Decomposition,
+    waypoints: Float[Array, "vertices 3"],
+    points: Float[Array, "points 3"],
+    present: Bool[Array, "points"],
+    radius: ScalarLike,
+    clearance: ScalarLike = 0.1,
+    lower: Vector3 | None = None,
+    upper: Vector3 | None = None,
+) -> Chain:
+    """Corridor about a known route: pure, so ``jit`` compiles it and ``vmap`` runs it over many maps at once.
+
+    Args:
+        method: how to make a polytope.
+        waypoints: (vertices, 3) the route, metres.
+        points: (points, 3) obstacle points, metres, padded to one size for all maps.
+        present: (points,) False where a row only pads.
+        radius: safety radius, with the spread of a thinned cloud added, metres.
+        clearance: radius to leave free around every leg where the points allow it, metres.
+        lower: (3,) lower corner of the volume the vehicle's centre may use, metres; None: no limit.
+        upper: (3,) its upper corner, metres; None: no limit.
+
+    Example:
+        >>> import jax, jax.numpy as jnp
+        >>> from jaxscp.corridor import EllipsoidDecomposition
+        >>> maps = jnp.array([[[3.0, 1.0, 1.0]], [[3.0, -1.0, 1.0]]])
+        >>> way = jnp.array([[0.0, 0.0, 1.0], [4.0, 0.0, 1.0], [4.0, 5.0, 1.0]])
+        >>> def through(points):
+        ...     return chain(EllipsoidDecomposition(), way, points, jnp.array([True]), 0.3)
+        >>> chains = jax.vmap(through)(maps)
+        >>> chains.corridor.normals.shape, bool((chains.overlaps > 0.1).all())
+        ((2, 2, 36, 3), True)
+    """
+    segments = jnp.stack([waypoints[:-1], waypoints[1:]], axis=1)
+    cells = jax.vmap(lambda segment: method(segment, points, present, radius, clearance, lower, upper))(
+        segments
+    )
+    balls = consecutive_overlaps(cells.polytope)
+    corridor = Corridor(cells.polytope.normals, cells.polytope.offsets, balls.centre)
+    return Chain(corridor, balls.radius, cells.left)
+
+
+def consecutive_overlaps(polytopes: Polytope, skip: int = 1) -> Ball:
+    """Widest ball in the overlap of each polytope with the one ``skip`` further on; batched along axis 0."""
+    before = jax.tree.map(lambda rows: rows[:-skip], polytopes)
+    after = jax.tree.map(lambda rows: rows[skip:], polytopes)
+    return jax.vmap(lambda a, b: deepest_ball(intersect(a, b)))(before, after)
+
+
+@eqx.filter_jit
+def _cells_one_by_one(method, segments, points, present, radius, clearance, lower, upper) -> Cell:
+    """A loop over segments: on a CPU faster than doing them abreast, for each ends when its own points do."""
+    return jax.lax.map(
+        lambda leg: method(*leg, radius, clearance, lower, upper),
+        (segments, points, present),
+    )
+
+
+@eqx.filter_jit
+def _cells_abreast(method, segments, points, present, radius, clearance, lower, upper) -> Cell:
+    """All segments at once: what a GPU wants."""
+    return jax.vmap(lambda *leg: method(*leg, radius, clearance, lower, upper))(segments, points, present)
+
+
+def cells_along(
+    method: Decomposition,
+    segments: Float[np.ndarray, "segments 2 3"],
+    cloud: PointCloud,
+    radius: float,
+    clearance: float = 0.1,
+    lower: Float[np.ndarray, "3"] | None = None,
+    upper: Float[np.ndarray, "3"] | None = None,
+) -> Cell:
+    """One cell a segment, from the host: each is given only the points near it.
+
+    Points are cut to each segment's box and padded to a power of two, and segments are run a few at a time,
+    so that few shapes are ever compiled. The cells come back as NumPy arrays along a leading axis.
+
+    Args:
+        method: how to make a polytope.
+        segments: (segments, 2, 3) ends, metres.
+        cloud: obstacles; its spread is added to the radius.
+        radius: safety radius of the vehicle, metres.
+        clearance: radius to leave free around every segment where the points allow it, metres.
+        lower: (3,) lower corner of the volume the vehicle's centre may use, metres; None: no limit.
+        upper: (3,) its upper corner, metres; None: no limit.
+    """
+    keep = radius + cloud.spread
+    # A box about the segment in any frame lies within this distance of it, axis by axis.
+    reach = np.sqrt(3.0) * method.reach + keep
+    columns = np.ascontiguousarray(cloud.points.T)
+    near = [_near(columns, segment, reach, method.reach + keep) for segment in segments]
+    run = _cells_one_by_one if jax.default_backend() == "cpu" else _cells_abreast
+    low = np.full(3, -np.inf) if lower is None else np.asarray(lower, float)
+    high = np.full(3, np.inf) if upper is None else np.asarray(upper, float)
+    calls = []
+    for first in range(0, len(segments), _LEGS_A_CALL):
+        some = near[first : first + _LEGS_A_CALL]
+        bucket = max(_SMALLEST_BUCKET, 1 << (max(len(points) for points in some) - 1).bit_length())
+        points = np.zeros((_LEGS_A_CALL, bucket, 3))
+        present = np.zeros((_LEGS_A_CALL, bucket), bool)
+        ends = np.zeros((_LEGS_A_CALL, 2, 3))
+        ends[: len(some)] = segments[first : first + _LEGS_A_CALL]
+        for row, own in enumerate(some):
+            points[row, : len(own)] = own
+            present[row, : len(own)] = True
+        calls.append(run(method, *map(jnp.asarray, (ends, points, present, keep, clearance, low, high))))
+    cells = [jax.tree.map(np.asarray, cell) for cell in calls]
+    return jax.tree.map(lambda *rows: np.concatenate(rows)[: len(segments)], *cells)
+
+
+def _near(
+    columns: Float[np.ndarray, "3 points"], segment: Float[np.ndarray, "2 3"], coarse: float, fine: float
+) -> Float[np.ndarray, "near 3"]:
+    """Points in the segment's world-aligned box, then those in a round-ended box along it."""
+    low, high = segment.min(axis=0) - coarse, segment.max(axis=0) + coarse
+    inside = (columns[0] >= low[0]) & (columns[0] <= high[0])
+    for axis in (1, 2):
+        inside &= (columns[axis] >= low[axis]) & (columns[axis] <= high[axis])
+    points = columns[:, np.flatnonzero(inside)].T
+    along = segment[1] - segment[0]
+    length = float(np.linalg.norm(along))
+    if length == 0.0:
+        return points
+    share = np.abs((points - segment.mean(axis=0)) @ (along / length))
+    return points[share <= 0.5 * length + fine]

@@ -1,0 +1,132 @@
+"""A point cloud: positions in metres, and what was done to them on the way here."""
+
+import warnings
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Bool, Float
+from numpy.typing import ArrayLike
+
+from jaxscp.corridor.polytopes import Polytope
+
+_SUSPICIOUS_EXTENT = 10_000.0
+
+
+class PointCloud(eqx.Module):
+    """Obstacle points, on the host.
+
+    A thinned cloud stands for the points it was thinned from: each of those lies within ``spread`` of one
+    that is left, so a distance of ``radius + spread`` from these keeps ``radius`` from all.
+
+    Example:
+        >>> cloud = PointCloud.of([[0.0, 0.0, 0.0], [0.04, 0.0, 0.0], [5.0, 0.0, 0.0]])
+        >>> thinned = cloud.thinned(0.1)
+        >>> cloud.count, thinned.count, thinned.spread
+        (3, 2, 0.02)
+    """
+
+    points: Float[np.ndarray, "points 3"]
+    """Positions, (points, 3), metres."""
+    spread: float = 0.0
+    """How far an original point can be from the one that stands for it, metres."""
+    dropped: int = 0
+    """How many points were left out because a coordinate was not finite."""
+
+    @staticmethod
+    def of(points: ArrayLike, source: str = "the cloud") -> "PointCloud":
+        """A cloud from any (points, 3) array in metres; points that are not finite are dropped and counted.
+
+        Warns when points were dropped, and when the extent suggests that the unit is not the metre.
+
+        Raises:
+            ValueError: the shape is not (points, 3).
+        """
+        array = np.asarray(points, float)
+        if array.size == 0:
+            array = array.reshape(0, 3)
+        if array.ndim != 2 or array.shape[1] != 3:
+            raise ValueError(f"{source}: expected an array of shape (points, 3), got {array.shape}")
+        finite = np.isfinite(array).all(axis=1)
+        dropped = int(array.shape[0] - np.count_nonzero(finite))
+        if dropped:
+            warnings.warn(f"{source}: dropped {dropped} of {array.shape[0]} points, not finite", stacklevel=2)
+            array = array[finite]
+        _warn_of_units(array, source)
+        return PointCloud(array, 0.0, dropped)
+
+    @property
+    def count(self) -> int:
+        """Number of points."""
+        return self.points.shape[0]
+
+    @property
+    def extent(self) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+        """Lower and upper corner of the points in metres; of an empty cloud, twice the origin."""
+        if self.count == 0:
+            return np.zeros(3), np.zeros(3)
+        return self.points.min(axis=0), self.points.max(axis=0)
+
+    def thinned(self, voxel: float) -> "PointCloud":
+        """One point a voxel: the middle of the box that its points span.
+
+        The spread grows by half that box's diagonal, at most half the voxel's.
+
+        Args:
+            voxel: edge of a voxel, metres.
+
+        Raises:
+            ValueError: the voxel is not positive.
+        """
+        if not voxel > 0:
+            raise ValueError(f"voxel must be positive, got {voxel} m")
+        if self.count == 0:
+            return self
+        order, first = _by_voxel(self.points, voxel)
+        ordered = self.points[order]
+        lower = np.minimum.reduceat(ordered, first)
+        upper = np.maximum.reduceat(ordered, first)
+        spread = 0.5 * float(np.linalg.norm(upper - lower, axis=1).max())
+        return PointCloud(0.5 * (lower + upper), self.spread + spread, self.dropped)
+
+    def inside(self, region: Polytope, margin: float = 0.0) -> Bool[np.ndarray, "points"]:
+        """Which points lie in a polytope grown by a margin in metres."""
+        heights = self.points @ np.asarray(region.normals).T
+        return np.all(heights <= np.asarray(region.offsets) + margin, axis=1)
+
+    def without(self, region: Polytope) -> "PointCloud":
+        """The cloud less the points in a polytope: the carrier's own deck, say, is no obstacle to land on.
+
+        Example:
+            >>> import jaxscp
+            >>> deck = jaxscp.corridor.box([-1.0, -1.0, 0.0], [1.0, 1.0, 0.2])
+            >>> PointCloud.of([[0.0, 0.0, 0.1], [3.0, 0.0, 0.0]]).without(deck).count
+            1
+        """
+        return PointCloud(self.points[~self.inside(region)], self.spread, self.dropped)
+
+
+def _by_voxel(points: Float[np.ndarray, "points 3"], voxel: float) -> tuple[np.ndarray, np.ndarray]:
+    """An order that puts points of one voxel together, and where each voxel begins in it."""
+    cells = np.floor((points - points.min(axis=0)) / voxel)
+    sizes = cells.max(axis=0) + 1.0
+    if np.prod(sizes) >= 2.0**62:
+        order = np.lexsort(cells.T)
+        changed = np.any(np.diff(cells[order], axis=0) != 0, axis=1)
+    else:
+        cells = cells.astype(np.int64)
+        key = (cells[:, 0] * int(sizes[1]) + cells[:, 1]) * int(sizes[2]) + cells[:, 2]
+        order = np.argsort(key, kind="stable")
+        changed = np.diff(key[order]) != 0
+    return order, np.concatenate([[0], np.flatnonzero(changed) + 1])
+
+
+def _warn_of_units(points: np.ndarray, source: str) -> None:
+    if points.shape[0] == 0:
+        return
+    extent = float(np.ptp(points, axis=0).max())
+    if extent > _SUSPICIOUS_EXTENT:
+        warnings.warn(
+            f"{source}: the points span {extent:.0f} m. Are they in millimetres, or is there an outlier? "
+            "Positions must be in metres.",
+            stacklevel=3,
+        )
