@@ -161,11 +161,15 @@ def along_polyline(corners: Floats, count: int) -> Floats:
 
 
 def roomiest_box(positions: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:
-    """Half-spaces (N, 6, 3) and (N, 6) of the box with most clearance at each position."""
+    """Half-spaces (N, 6, 3) and (N, 6) of the box with most clearance at each position; the later box on ties.
+
+    Clearance is compared to the nanometre, so that rounding has no say in a tie (node 8 of the three boxes).
+    """
     faces = np.concatenate([np.eye(3), -np.eye(3)])
     offsets = np.concatenate([upper, -lower], axis=1)
     clearance = np.min(offsets - (positions @ faces.T)[:, None, :], axis=2)
-    return np.tile(faces, (len(positions), 1, 1)), offsets[np.argmax(clearance, axis=1)]
+    chosen = len(offsets) - 1 - np.argmax(np.round(clearance[:, ::-1], 9), axis=1)
+    return np.tile(faces, (len(positions), 1, 1)), offsets[chosen]
 
 
 # a plain simulation, to judge answers by
