@@ -76,7 +76,7 @@ def consecutive_overlaps(polytopes: Polytope, skip: int = 1) -> Ball:
     return jax.vmap(lambda a, b: deepest_ball(intersect(a, b)))(before, after)
 
 
-@eqx.filter_jit
+@jax.jit
 def _cells_one_by_one(method, segments, points, present, radius, clearance, lower, upper) -> Cell:
     """A loop over segments: on a CPU faster than doing them abreast, for each ends when its own points do."""
     return jax.lax.map(
@@ -85,7 +85,7 @@ def _cells_one_by_one(method, segments, points, present, radius, clearance, lowe
     )
 
 
-@eqx.filter_jit
+@jax.jit
 def _cells_abreast(method, segments, points, present, radius, clearance, lower, upper) -> Cell:
     """All segments at once: what a GPU wants."""
     return jax.vmap(lambda *leg: method(*leg, radius, clearance, lower, upper))(segments, points, present)
@@ -115,41 +115,49 @@ def cells_along(
         upper: (3,) its upper corner, metres; None: no limit.
     """
     keep = radius + cloud.spread
-    # A box about the segment in any frame lies within this distance of it, axis by axis.
-    reach = np.sqrt(3.0) * method.reach + keep
     columns = np.ascontiguousarray(cloud.points.T)
-    near = [_near(columns, segment, reach, method.reach + keep) for segment in segments]
+    near = [_near(columns, segment, method.reach + keep) for segment in segments]
+    # Segments with like numbers of points go together, so that little is padded.
+    order = np.argsort([points.shape[1] for points in near], kind="stable")
     run = _cells_one_by_one if jax.default_backend() == "cpu" else _cells_abreast
     low = np.full(3, -np.inf) if lower is None else np.asarray(lower, float)
     high = np.full(3, np.inf) if upper is None else np.asarray(upper, float)
     calls = []
-    for first in range(0, len(segments), _LEGS_A_CALL):
-        some = near[first : first + _LEGS_A_CALL]
-        bucket = max(_SMALLEST_BUCKET, 1 << (max(len(points) for points in some) - 1).bit_length())
+    for first in range(0, len(order), _LEGS_A_CALL):
+        some = order[first : first + _LEGS_A_CALL]
+        bucket = max(_SMALLEST_BUCKET, 1 << (near[some[-1]].shape[1] - 1).bit_length())
         points = np.zeros((_LEGS_A_CALL, bucket, 3))
         present = np.zeros((_LEGS_A_CALL, bucket), bool)
         ends = np.zeros((_LEGS_A_CALL, 2, 3))
-        ends[: len(some)] = segments[first : first + _LEGS_A_CALL]
-        for row, own in enumerate(some):
-            points[row, : len(own)] = own
-            present[row, : len(own)] = True
-        calls.append(run(method, *map(jnp.asarray, (ends, points, present, keep, clearance, low, high))))
-    cells = [jax.tree.map(np.asarray, cell) for cell in calls]
-    return jax.tree.map(lambda *rows: np.concatenate(rows)[: len(segments)], *cells)
+        for row, index in enumerate(some):
+            count = near[index].shape[1]
+            ends[row] = segments[index]
+            points[row, :count] = near[index].T
+            present[row, :count] = True
+        calls.append(run(method, ends, points, present, keep, clearance, low, high))
+    back = np.argsort(order)
+    return jax.tree.map(lambda *rows: np.concatenate(rows)[back], *jax.device_get(calls))
 
 
 def _near(
-    columns: Float[np.ndarray, "3 points"], segment: Float[np.ndarray, "2 3"], coarse: float, fine: float
-) -> Float[np.ndarray, "near 3"]:
-    """Points in the segment's world-aligned box, then those in a round-ended box along it."""
-    low, high = segment.min(axis=0) - coarse, segment.max(axis=0) + coarse
-    inside = (columns[0] >= low[0]) & (columns[0] <= high[0])
-    for axis in (1, 2):
-        inside &= (columns[axis] >= low[axis]) & (columns[axis] <= high[axis])
-    points = columns[:, np.flatnonzero(inside)].T
+    columns: Float[np.ndarray, "3 points"], segment: Float[np.ndarray, "2 3"], reach: float
+) -> Float[np.ndarray, "3 near"]:
+    """Points in the cylinder about a segment that holds its box, whichever way that is rolled."""
     along = segment[1] - segment[0]
     length = float(np.linalg.norm(along))
-    if length == 0.0:
-        return points
-    share = np.abs((points - segment.mean(axis=0)) @ (along / length))
-    return points[share <= 0.5 * length + fine]
+    along = along / length if length > 0 else np.array([1.0, 0.0, 0.0])
+    wide, long = np.sqrt(2.0) * reach, 0.5 * length + reach
+    middle = segment.mean(axis=0)
+    half = np.abs(along) * long + wide * np.sqrt(np.maximum(1.0 - along * along, 0.0)) + 1e-6
+    low, high = middle - half, middle + half
+    inside = (columns[0] >= low[0]) & (columns[0] <= high[0])
+    for axis in (1, 2):
+        inside &= columns[axis] >= low[axis]
+        inside &= columns[axis] <= high[axis]
+    points = columns.take(np.flatnonzero(inside), axis=1)
+    offset = points - middle[:, None]
+    share = along @ offset
+    close = (np.abs(share) <= long + 1e-6) & (
+        np.sum(offset * offset, axis=0) - share * share <= wide**2 + 1e-6
+    )
+    return points.take(np.flatnonzero(close), axis=1)

@@ -67,11 +67,11 @@ class Space(eqx.Module):
 
     def along(self, start: Point, end: Point) -> float:
         """Distance from a segment to the nearest obstacle point, capped at the roomy distance, metres."""
-        near = np.all(
-            (self.points >= np.minimum(start, end) - self.roomy)
-            & (self.points <= np.maximum(start, end) + self.roomy),
-            axis=1,
-        )
+        low, high = np.minimum(start, end) - self.roomy, np.maximum(start, end) + self.roomy
+        near = np.flatnonzero((self.points[:, 0] >= low[0]) & (self.points[:, 0] <= high[0]))
+        for axis in (1, 2):
+            column = self.points[near, axis]
+            near = near[(column >= low[axis]) & (column <= high[axis])]
         return min(self.roomy, segment_distance(self.points[near], start, end))
 
 

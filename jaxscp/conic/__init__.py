@@ -1,0 +1,9 @@
+"""Solvers for the convex subproblem: our structured interior point, and OSQP on its quadratic form."""
+
+from jaxscp.conic.program import Cones as Cones
+from jaxscp.conic.program import ConicSolution as ConicSolution
+from jaxscp.conic.program import Links as Links
+from jaxscp.conic.program import Multipliers as Multipliers
+from jaxscp.conic.program import NormCost as NormCost
+from jaxscp.conic.program import Rows as Rows
+from jaxscp.conic.program import StagedProgram as StagedProgram

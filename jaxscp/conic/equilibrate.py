@@ -1,0 +1,120 @@
+"""Ruiz equilibration that keeps the program's structure: columns, rows and cost near unit size.
+
+A second-order cone admits one scale for all its rows, and so do the soft rows of a link, whose virtual
+control is measured by one Euclidean norm. Hard rows and half-spaces are scaled one by one.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxscp.conic.program import Cones, Links, Multipliers, NormCost, Rows, StagedProgram
+from jaxscp.types import Scalar
+
+_LOWEST, _HIGHEST = 1e-4, 1e4  # limits on each scale, as in OSQP and Clarabel
+
+
+class Scales(eqx.Module):
+    """What a program was multiplied by, so that its answer can be taken back."""
+
+    columns: Float[Array, "nodes variables"]
+    links: Float[Array, "links rows"]
+    rows: Float[Array, "nodes rows"]
+    cones: tuple[Float[Array, "nodes cones"], ...]
+    cost: Scalar
+
+    def restore(
+        self, z: Float[Array, "nodes variables"], multipliers: Multipliers
+    ) -> tuple[Float[Array, "nodes variables"], Multipliers]:
+        """Take a solution of the scaled program back to the given one."""
+        cones = tuple(
+            y * r[..., None] / self.cost for y, r in zip(multipliers.cones, self.cones, strict=True)
+        )
+        return self.columns * z, Multipliers(
+            multipliers.links * self.links / self.cost, multipliers.rows * self.rows / self.cost, cones
+        )
+
+
+def equilibrate(program: StagedProgram, rounds: int = 3) -> tuple[StagedProgram, Scales]:
+    """Scale a program; ``Scales.restore`` takes its solution back."""
+    scales = Scales(
+        jnp.ones_like(program.gradient),
+        jnp.ones_like(program.links.offset),
+        jnp.ones_like(program.rows.offset),
+        tuple(jnp.ones_like(cone.offset[..., 0]) for cone in program.cones),
+        jnp.ones((), program.gradient.dtype),
+    )
+    for _ in range(rounds):
+        scales = _refine(_scaled(program, scales), scales)
+    return _scaled(program, scales), scales
+
+
+def _refine(scaled: StagedProgram, scales: Scales) -> Scales:
+    """One Ruiz round: divide every row and column by the square root of its largest entry."""
+    links = scaled.links
+    size = [
+        jnp.max(jnp.abs(scaled.hessian), axis=1),
+        jnp.max(jnp.abs(links.before[1:]), axis=1),
+        jnp.max(jnp.abs(links.after[:-1]), axis=1),
+        jnp.max(jnp.abs(scaled.rows.matrix), axis=1, initial=0.0),
+    ]
+    size += [jnp.max(jnp.abs(cone.matrix), axis=(1, 2), initial=0.0) for cone in scaled.cones]
+    columns = _shrink(jnp.max(jnp.stack(size), axis=0))
+    link_size = jnp.maximum(jnp.max(jnp.abs(links.before), axis=2), jnp.max(jnp.abs(links.after), axis=2))
+    soft_size = jnp.max(links.soft * link_size, axis=1, keepdims=True)
+    link = _shrink(jnp.where(links.soft > 0, soft_size, link_size))
+    rows = _shrink(jnp.max(jnp.abs(scaled.rows.matrix), axis=2))
+    cones = tuple(_shrink(jnp.max(jnp.abs(cone.matrix), axis=(2, 3))) for cone in scaled.cones)
+    clip = lambda scale: jnp.clip(scale, _LOWEST, _HIGHEST)  # noqa: E731
+    new = Scales(
+        clip(scales.columns * columns),
+        clip(scales.links * link),
+        clip(scales.rows * rows),
+        tuple(clip(a * b) for a, b in zip(scales.cones, cones, strict=True)),
+        scales.cost,
+    )
+    return eqx.tree_at(lambda s: s.cost, new, _cost_scale(scaled, columns) * scales.cost)
+
+
+def _cost_scale(scaled: StagedProgram, columns: Float[Array, "nodes variables"]) -> Scalar:
+    largest = jnp.max(jnp.abs(columns * scaled.gradient))
+    if scaled.norm is not None:
+        largest = jnp.maximum(largest, jnp.max(scaled.norm.weight))
+    return 1.0 / jnp.clip(largest, _LOWEST, _HIGHEST)
+
+
+def _shrink(size: jax.Array) -> jax.Array:
+    """1 / sqrt(size), and one for rows or columns that are empty."""
+    return jnp.where(size > 1e-12, 1.0 / jnp.sqrt(jnp.maximum(size, 1e-12)), 1.0)
+
+
+def _scaled(program: StagedProgram, s: Scales) -> StagedProgram:
+    columns_before = jnp.concatenate([jnp.ones_like(s.columns[:1]), s.columns])
+    columns_after = jnp.concatenate([s.columns, jnp.ones_like(s.columns[:1])])
+    links = program.links
+    # All soft rows of a link share one scale rho; |V nu| = |V rho nu| / rho keeps the cost unchanged.
+    shared = jnp.max(jnp.where(links.soft > 0, s.links, 0.0), axis=1)
+    shared = jnp.where(shared > 0, shared, 1.0)
+    norm = program.norm
+    if norm is not None:
+        norm = NormCost(s.cost * norm.weight, norm.scale * s.columns, norm.centre / s.columns)
+    return StagedProgram(
+        hessian=s.cost * s.columns[:, :, None] * program.hessian * s.columns[:, None, :],
+        gradient=s.cost * s.columns * program.gradient,
+        links=Links(
+            before=s.links[:, :, None] * links.before * columns_before[:, None, :],
+            after=s.links[:, :, None] * links.after * columns_after[:, None, :],
+            offset=s.links * links.offset,
+            soft=links.soft,
+            weight=s.cost * links.weight / shared,
+        ),
+        rows=Rows(
+            s.rows[:, :, None] * program.rows.matrix * s.columns[:, None, :], s.rows * program.rows.offset
+        ),
+        cones=tuple(
+            Cones(r[..., None, None] * cone.matrix * s.columns[:, None, None, :], r[..., None] * cone.offset)
+            for cone, r in zip(program.cones, s.cones, strict=True)
+        ),
+        norm=norm,
+    )

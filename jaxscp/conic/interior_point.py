@@ -1,0 +1,273 @@
+"""Primal-dual interior point for staged conic programs, in the homogeneous embedding.
+
+Nesterov-Todd scaling and Mehrotra's predictor and corrector. The embedding (Goulart and Chen, "Clarabel: an
+interior-point solver for conic programs with quadratic objectives", 2024) adds two scalars tau and kappa: at
+its solution either tau > 0 and x / tau solves the program, or kappa > 0 and the iterate itself proves that the
+program is infeasible or unbounded.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Int
+
+from jaxscp.conic import cones, kkt
+from jaxscp.conic.cones import ConeVector, tree_axpy, tree_dot, tree_max
+from jaxscp.conic.equilibrate import Scales, equilibrate
+from jaxscp.conic.kkt import Primal
+from jaxscp.conic.program import ConicSolution, Multipliers, StagedProgram
+from jaxscp.status import Status
+from jaxscp.types import Scalar
+
+
+class Iterate(eqx.Module):
+    """A point of the homogeneous embedding."""
+
+    x: Primal
+    y: ConeVector
+    s: ConeVector
+    tau: Scalar
+    kappa: Scalar
+
+
+class Residuals(eqx.Module):
+    """What the embedding's equations lack, and the measures that end the iteration."""
+
+    x: Primal
+    y: ConeVector
+    tau: Scalar
+    mu: Scalar
+    error: Scalar
+    """Largest of relative gap, primal and dual residual."""
+    infeasibility: Scalar
+    """How well the iterate proves infeasibility; a proof at zero."""
+    unboundedness: Scalar
+    """How well the iterate proves unboundedness; a proof at zero."""
+
+
+class Progress(eqx.Module):
+    """State of the loop."""
+
+    iterate: Iterate
+    residuals: Residuals
+    iterations: Int[Array, ""]
+    stalled: Bool[Array, ""]
+    broken: Bool[Array, ""]
+
+
+class InteriorPoint(eqx.Module):
+    """Our own structured interior point; pure JAX, so it runs under ``jit``, ``vmap`` and on any device.
+
+    The Newton system is reduced to one block tridiagonal matrix (``kkt``), so that work and memory grow
+    linearly with the number of nodes.
+
+    Args:
+        tolerance: relative gap and residuals at which a program counts as solved.
+        loose_tolerance: those at which it counts as almost solved when progress ends earlier.
+        max_iterations: Newton steps allowed.
+        regularisation: added to the diagonal of the (equilibrated) system; its effect is refined away.
+        refinements: rounds of iterative refinement for each right-hand side.
+        equilibration: rounds of Ruiz scaling.
+    """
+
+    tolerance: float = eqx.field(default=1e-8, static=True)
+    loose_tolerance: float = eqx.field(default=1e-5, static=True)
+    max_iterations: int = eqx.field(default=50, static=True)
+    regularisation: float = eqx.field(default=1e-9, static=True)
+    refinements: int = eqx.field(default=1, static=True)
+    equilibration: int = eqx.field(default=3, static=True)
+
+    def __call__(self, program: StagedProgram) -> ConicSolution:
+        """Solve a program.
+
+        Returns:
+            A ``ConicSolution``; ``z`` is always finite, its ``status`` says what it is worth.
+        """
+        scaled, scales = equilibrate(program, self.equilibration)
+        progress = jax.lax.while_loop(
+            lambda p: ~self._finished(p),
+            lambda p: self._step(scaled, scales, p),
+            self._start(scaled, scales),
+        )
+        return self._conclude(program, scaled, scales, progress)
+
+    def _start(self, program: StagedProgram, scales: Scales) -> Progress:
+        """The point that solves the program with its cones replaced by a least-squares penalty."""
+        unit = cones.scaling(_interior_unit(program), _interior_unit(program))
+        factor = kkt.factorise(program, unit, self.regularisation)
+        q, b = kkt.linear_cost(program), kkt.right_side(program)
+        x, y = kkt.solve(program, unit, factor, _negated(q), b, self.refinements)
+        slack = eqx.tree_at(lambda v: v.zero, _negated(y), jnp.zeros_like(y.zero))
+        slack = _into_cone(slack)
+        # The bounds of the norms follow their cones, so that those rows start without residual.
+        xi = slack.second[-2][:, 0] if program.norm is not None else x.xi
+        x = Primal(x.z, xi, slack.second[-1][:, 0])
+        iterate = Iterate(x, _into_cone(y), slack, jnp.ones(()), jnp.ones(()))
+        residuals = _residuals(program, scales, iterate)
+        false = jnp.zeros((), bool)
+        return Progress(iterate, residuals, jnp.zeros((), int), false, ~jnp.isfinite(residuals.error))
+
+    def _finished(self, progress: Progress) -> Bool[Array, ""]:
+        r = progress.residuals
+        proof = jnp.minimum(r.infeasibility, r.unboundedness)
+        return (
+            (r.error <= self.tolerance)
+            | (proof <= self.tolerance)
+            | progress.stalled
+            | progress.broken
+            | (progress.iterations >= self.max_iterations)
+        )
+
+    def _step(self, program: StagedProgram, scales: Scales, progress: Progress) -> Progress:
+        old, r = progress.iterate, progress.residuals
+        newton = _Newton(program, old, self.regularisation, self.refinements)
+
+        square = cones.product(newton.scaled_point, newton.scaled_point)
+        affine = newton.direction(r, 1.0, square, old.tau * old.kappa)
+        step = _longest_step(old, affine)
+        sigma = (1.0 - step) ** 3
+
+        cross = cones.product(newton.scaling.apply_inverse(affine.s), newton.scaling.apply(affine.y))
+        target = tree_axpy(-sigma * r.mu, cones.identity(old.s), tree_axpy(1.0, cross, square))
+        cross_tau = old.tau * old.kappa + affine.tau * affine.kappa - sigma * r.mu
+        direction = newton.direction(r, 1.0 - sigma, target, cross_tau)
+        step = 0.99 * _longest_step(old, direction)
+
+        new = tree_axpy(step, direction, old)
+        new = tree_axpy(1.0 / jnp.maximum(new.tau, new.kappa), new, jax.tree.map(jnp.zeros_like, new))
+        residuals = _residuals(program, scales, new)
+        broken = ~(jnp.isfinite(residuals.error) & jnp.isfinite(residuals.mu))
+        # A step that makes a nearly solved iterate worse has run into rounding: keep the better one.
+        stalled = (step < 1e-6) | ((r.error < self.loose_tolerance) & (residuals.error > 2.0 * r.error))
+        keep = broken | (stalled & (residuals.error > r.error))
+        new, residuals = jax.tree.map(lambda a, b: jnp.where(keep, a, b), (old, r), (new, residuals))
+        return Progress(new, residuals, progress.iterations + 1, stalled, broken)
+
+    def _conclude(
+        self, program: StagedProgram, scaled: StagedProgram, scales: Scales, progress: Progress
+    ) -> ConicSolution:
+        iterate, r = progress.iterate, progress.residuals
+        y, tau = iterate.y, jnp.maximum(iterate.tau, 1e-12)
+        soft = scaled.links.soft
+        multipliers = Multipliers(
+            links=((1.0 - soft) * y.zero + soft * y.second[-1][:, 1:]) / tau,
+            rows=y.orthant / tau,
+            cones=tuple(v / tau for v in y.second[: len(program.cones)]),
+        )
+        z, multipliers = scales.restore(iterate.x.z / tau, multipliers)
+        return ConicSolution(
+            z, multipliers, program.objective(z), self._status(r, progress), progress.iterations
+        )
+
+    def _status(self, r: Residuals, progress: Progress) -> Any:
+        solved_status = Status.where(
+            progress.broken,
+            Status.numerical_error,
+            Status.where(progress.stalled, Status.insufficient_progress, Status.iteration_limit),
+        )
+        solved_status = Status.where(r.error <= self.loose_tolerance, Status.almost_converged, solved_status)
+        solved_status = Status.where(r.unboundedness <= self.tolerance, Status.unbounded, solved_status)
+        solved_status = Status.where(r.infeasibility <= self.tolerance, Status.infeasible, solved_status)
+        return Status.where(r.error <= self.tolerance, Status.converged, solved_status)
+
+
+class _Newton:
+    """Newton directions of the embedding at one iterate."""
+
+    def __init__(self, program: StagedProgram, iterate: Iterate, regularisation: float, refinements: int):
+        self.program, self.iterate = program, iterate
+        self.scaling = cones.scaling(iterate.s, iterate.y)
+        self.scaled_point = self.scaling.apply(iterate.y)
+        factor = kkt.factorise(program, self.scaling, regularisation)
+        self._solve = lambda rx, ry: kkt.solve(program, self.scaling, factor, rx, ry, refinements)
+        self.q, self.b = kkt.linear_cost(program), kkt.right_side(program)
+        self.constant = self._solve(_negated(self.q), self.b)
+        self.xi = jax.tree.map(lambda v: v / iterate.tau, iterate.x)
+        self.hessian_xi = kkt.times_hessian(program, self.xi)
+        self.slope = self._slope()
+
+    def _slope(self) -> Scalar:
+        """Derivative of the embedding's last equation along the constant direction; always negative."""
+        x, y = self.constant
+        apart = tree_axpy(-1.0, self.xi, x)
+        curvature = tree_dot(apart, kkt.times_hessian(self.program, apart))
+        spread = tree_dot(y, self.scaling.square(y))
+        return -(curvature + spread + self.iterate.kappa / self.iterate.tau)
+
+    def direction(
+        self, r: Residuals, share: Scalar | float, target: ConeVector, target_tau: Scalar
+    ) -> Iterate:
+        """Solve for residuals reduced by ``share`` and scaled complementarity moved by ``-target``."""
+        tau, kappa = self.iterate.tau, self.iterate.kappa
+        lifted = self.scaling.apply(cones.divide(self.scaled_point, target))
+        right = tree_axpy(-share, r.y, lifted)
+        x1, y1 = self._solve(jax.tree.map(lambda v: -share * v, r.x), right)
+        gradient = tree_axpy(2.0, self.hessian_xi, self.q)
+        defect = -share * r.tau + target_tau / tau - tree_dot(gradient, x1) - tree_dot(self.b, y1)
+        dtau = defect / self.slope
+        dx = tree_axpy(dtau, self.constant[0], x1)
+        dy = tree_axpy(dtau, self.constant[1], y1)
+        ds = _negated(tree_axpy(1.0, lifted, self.scaling.square(dy)))
+        return Iterate(dx, dy, ds, dtau, -(target_tau + kappa * dtau) / tau)
+
+
+def _residuals(program: StagedProgram, scales: Scales, p: Iterate) -> Residuals:
+    q, b = kkt.linear_cost(program), kkt.right_side(program)
+    hessian_x = kkt.times_hessian(program, p.x)
+    dual = kkt.times_constraints_transpose(program, p.y)
+    primal = tree_axpy(1.0, p.s, kkt.times_constraints(program, p.x))
+    rx = jax.tree.map(lambda a, c, d: a + c + p.tau * d, hessian_x, dual, q)
+    ry = tree_axpy(-p.tau, b, primal)
+    quadratic, linear, offset = tree_dot(p.x, hessian_x), tree_dot(q, p.x), tree_dot(b, p.y)
+    rtau = linear + offset + p.kappa + quadratic / p.tau
+    mu = (tree_dot(p.s, p.y) + p.tau * p.kappa) / (cones.degree(p.s) + 1)
+
+    primal_cost = (0.5 * quadratic / p.tau + linear) / p.tau
+    dual_cost = (-0.5 * quadratic / p.tau - offset) / p.tau
+    # The gap is judged in the user's unit of cost, the residuals in equilibrated units.
+    gap = jnp.abs(primal_cost - dual_cost) / jnp.maximum(
+        scales.cost, jnp.minimum(jnp.abs(primal_cost), jnp.abs(dual_cost))
+    )
+    x_size, y_size, s_size = tree_max(p.x), tree_max(p.y), tree_max(p.s)
+    primal_error = tree_max(ry) / jnp.maximum(p.tau, tree_max(b) * p.tau + x_size + s_size)
+    dual_error = tree_max(rx) / jnp.maximum(p.tau, tree_max(q) * p.tau + x_size + y_size)
+
+    infeasible = tree_max(dual) / jnp.maximum(-offset, 1e-300)
+    unbounded = jnp.maximum(tree_max(hessian_x), tree_max(primal)) / jnp.maximum(-linear, 1e-300)
+    return Residuals(
+        rx, ry, rtau, mu, jnp.maximum(gap, jnp.maximum(primal_error, dual_error)), infeasible, unbounded
+    )
+
+
+def _negated(v):
+    return jax.tree.map(jnp.negative, v)
+
+
+def _interior_unit(program: StagedProgram) -> ConeVector:
+    return cones.identity(kkt.right_side(program))
+
+
+def _into_cone(v: ConeVector) -> ConeVector:
+    """Move every cone's part at least one unit inside its cone; the zero cone's part is kept."""
+
+    def lift(u):
+        norm = jnp.linalg.norm(u[..., 1:], axis=-1)
+        return u.at[..., 0].set(jnp.maximum(u[..., 0], norm + 1.0))
+
+    return ConeVector(v.zero, jnp.maximum(v.orthant, 1.0), tuple(map(lift, v.second)))
+
+
+def _longest_step(point: Iterate, direction: Iterate) -> Scalar:
+    def scalar_step(value, change):
+        return jnp.where(change < 0, -value / change, jnp.inf)
+
+    steps = [
+        cones.longest_step(point.s, direction.s),
+        cones.longest_step(point.y, direction.y),
+        scalar_step(point.tau, direction.tau),
+        scalar_step(point.kappa, direction.kappa),
+        jnp.ones(()),
+    ]
+    return jnp.min(jnp.stack(steps))

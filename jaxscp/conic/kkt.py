@@ -1,0 +1,228 @@
+"""The Newton system of the interior point, reduced to one block tridiagonal matrix.
+
+The full system, over the variables x = (z, xi, zeta) and the multipliers y of all cones, is
+
+    [ P   A'  ] [dx]   [rx]          xi_k   bounds the trust-region norm of node k,
+    [ A  -W^2 ] [dy] = [ry]          zeta_l bounds the virtual control of link l.
+
+Eliminated analytically, in this order: the half-spaces and cones of every node (they add G' W^-2 G to its
+Hessian); xi, whose cone's lower-right block is a scaled identity plus rank one; zeta likewise, which leaves a
+compliance C_l on the soft rows of each link; the nodes, by batched Cholesky of H_k. What remains is the Schur
+complement in the link multipliers, S = M H^-1 M' + C: block tridiagonal, one block a link.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.scipy.linalg import solve_triangular
+from jaxtyping import Array, Float
+
+from jaxscp.conic import block_tridiagonal
+from jaxscp.conic.cones import ConeVector, Scaling, SecondOrderScaling, tree_axpy
+from jaxscp.conic.program import StagedProgram
+
+
+class Primal(eqx.Module):
+    """Variables of the conic form."""
+
+    z: Float[Array, "nodes variables"]
+    xi: Float[Array, "*nodes"]
+    """Bounds of the trust-region norms, (nodes,); (0,) where the program has none."""
+    zeta: Float[Array, "links"]
+    """Bounds of the virtual controls."""
+
+
+# --- the program in the form  min 1/2 x'Px + q'x,  A x + s = b,  s in K ---
+
+
+def times_hessian(program: StagedProgram, x: Primal) -> Primal:
+    """P x."""
+    z = jnp.einsum("kij,kj->ki", program.hessian, x.z)
+    return Primal(z, jnp.zeros_like(x.xi), jnp.zeros_like(x.zeta))
+
+
+def linear_cost(program: StagedProgram) -> Primal:
+    """q."""
+    xi = jnp.zeros((0,), program.gradient.dtype) if program.norm is None else program.norm.weight
+    return Primal(program.gradient, xi, program.links.weight)
+
+
+def times_constraints(program: StagedProgram, x: Primal) -> ConeVector:
+    """A x."""
+    link = program.links.apply(x.z)
+    second = [jnp.einsum("kcdn,kn->kcd", cone.matrix, x.z) for cone in program.cones]
+    if program.norm is not None:
+        second.append(-_stack(x.xi, program.norm.scale * x.z))
+    second.append(_stack(-x.zeta, program.links.soft * link))
+    rows = jnp.einsum("kln,kn->kl", program.rows.matrix, x.z)
+    return ConeVector((1.0 - program.links.soft) * link, rows, tuple(second))
+
+
+def times_constraints_transpose(program: StagedProgram, y: ConeVector) -> Primal:
+    """A' y."""
+    z = program.links.transpose_apply(_link_multiplier(program, y))
+    z += jnp.einsum("kln,kl->kn", program.rows.matrix, y.orthant)
+    for cone, multiplier in zip(program.cones, y.second, strict=False):
+        z += jnp.einsum("kcdn,kcd->kn", cone.matrix, multiplier)
+    xi = jnp.zeros((0,), z.dtype)
+    if program.norm is not None:
+        trust = y.second[-2]
+        z -= program.norm.scale * trust[:, 1:]
+        xi = -trust[:, 0]
+    return Primal(z, xi, -y.second[-1][:, 0])
+
+
+def right_side(program: StagedProgram) -> ConeVector:
+    """b."""
+    second = [cone.offset for cone in program.cones]
+    if program.norm is not None:
+        second.append(_stack(jnp.zeros_like(program.norm.weight), -program.norm.scale * program.norm.centre))
+    second.append(_stack(jnp.zeros_like(program.links.weight), program.links.soft * program.links.offset))
+    return ConeVector((1.0 - program.links.soft) * program.links.offset, program.rows.offset, tuple(second))
+
+
+def _stack(head: Float[Array, "chain"], tail: Float[Array, "chain n"]) -> Float[Array, "chain n+1"]:
+    return jnp.concatenate([head[:, None], tail], axis=1)
+
+
+def _link_multiplier(program: StagedProgram, y: ConeVector) -> Float[Array, "links rows"]:
+    soft = program.links.soft
+    return (1.0 - soft) * y.zero + soft * y.second[-1][:, 1:]
+
+
+# --- its factorisation ---
+
+
+class Factor(eqx.Module):
+    """Everything that depends on the scaling alone and serves several right-hand sides."""
+
+    lower: Float[Array, "nodes variables variables"]
+    """Cholesky factors of the node Hessians."""
+    schur: block_tridiagonal.BlockCholesky
+
+
+def factorise(program: StagedProgram, scaling: Scaling, regularisation: float) -> Factor:
+    """Eliminate cones and nodes and factor the Schur complement; the regularisation makes both definite."""
+    hessian = _node_hessian(program, scaling)
+    n, m = program.variables, program.links.soft.shape[1]
+    lower = jnp.linalg.cholesky(hessian + regularisation * jnp.eye(n, dtype=hessian.dtype))
+    half = jax.vmap(lambda L, B: solve_triangular(L, B, lower=True))
+    after = half(lower, jnp.swapaxes(program.links.after[:-1], 1, 2))  # L_k^-1 F_k', node k in link k
+    before = half(
+        lower, jnp.swapaxes(program.links.before[1:], 1, 2)
+    )  # L_k^-1 E_{k+1}', node k in link k + 1
+    compliance = _compliance(program, scaling.second[-1])
+    diagonal = compliance + regularisation * jnp.eye(m, dtype=hessian.dtype)
+    diagonal = diagonal.at[:-1].add(jnp.einsum("kni,knj->kij", after, after))
+    diagonal = diagonal.at[1:].add(jnp.einsum("kni,knj->kij", before, before))
+    above = jnp.einsum("kni,knj->kij", after, before)
+    above = jnp.concatenate([above, jnp.zeros_like(above[:1])])
+    return Factor(lower, block_tridiagonal.factor(diagonal, above))
+
+
+def _node_hessian(program: StagedProgram, scaling: Scaling) -> Float[Array, "nodes variables variables"]:
+    weight = scaling.orthant**-2
+    hessian = program.hessian + jnp.einsum(
+        "kln,kl,klm->knm", program.rows.matrix, weight, program.rows.matrix
+    )
+    for cone, w in zip(program.cones, scaling.second, strict=False):
+        inverse = jax.vmap(w.inverse_square, in_axes=-1, out_axes=-1)(cone.matrix)
+        hessian += jnp.einsum("kcdn,kcdm->knm", cone.matrix, inverse)
+    if program.norm is not None:
+        scale = program.norm.scale
+        block = jax.vmap(_tail_inverse, in_axes=(None, 2), out_axes=2)(scaling.second[-2], _diagonal(scale))
+        hessian += scale[:, :, None] * block
+    return hessian
+
+
+def _compliance(program: StagedProgram, w: SecondOrderScaling) -> Float[Array, "links rows rows"]:
+    soft = _diagonal(program.links.soft)
+    block = jax.vmap(_tail, in_axes=(None, 2), out_axes=2)(w, soft)
+    return program.links.soft[:, :, None] * block
+
+
+def _diagonal(v: Float[Array, "chain n"]) -> Float[Array, "chain n n"]:
+    return v[:, :, None] * jnp.eye(v.shape[1], dtype=v.dtype)
+
+
+def _tail(w: SecondOrderScaling, v: Float[Array, "chain n"]) -> Float[Array, "chain n"]:
+    """(W^2)_{11} v = eta^2 (v + 2 w1 w1'v)."""
+    w1 = w.w[:, 1:]
+    return w.eta[:, None] ** 2 * (v + 2.0 * w1 * jnp.sum(w1 * v, axis=1, keepdims=True))
+
+
+def _tail_inverse(w: SecondOrderScaling, v: Float[Array, "chain n"]) -> Float[Array, "chain n"]:
+    """(W^2)_{11}^-1 v, split along and across w1 because the two parts differ by the square of |w1|."""
+    w1 = w.w[:, 1:]
+    size = jnp.sum(w1 * w1, axis=1, keepdims=True)
+    unit = w1 / jnp.sqrt(jnp.maximum(size, 1e-300))
+    part = jnp.sum(unit * v, axis=1, keepdims=True)
+    across = v - unit * part
+    across = across - unit * jnp.sum(unit * across, axis=1, keepdims=True)  # twice is enough
+    return (across + unit * part / (1.0 + 2.0 * size)) / w.eta[:, None] ** 2
+
+
+def _tail_head(w: SecondOrderScaling) -> Float[Array, "chain n"]:
+    """(W^2)_{10} = 2 eta^2 w0 w1."""
+    return 2.0 * (w.eta**2 * w.w[:, 0])[:, None] * w.w[:, 1:]
+
+
+# --- its solution ---
+
+
+def solve(
+    program: StagedProgram, scaling: Scaling, factor: Factor, rx: Primal, ry: ConeVector, refinements: int
+) -> tuple[Primal, ConeVector]:
+    """Solve the full system for one right-hand side.
+
+    Refinement is against the full system, not the reduced one: eliminating a cone whose point is near its
+    boundary loses as many digits as its scaling has spread, and this is where they come back.
+    """
+    x, y = _solve_once(program, scaling, factor, rx, ry)
+    for _ in range(refinements):
+        gradient = tree_axpy(1.0, times_constraints_transpose(program, y), times_hessian(program, x))
+        slack = tree_axpy(-1.0, scaling.square(y), times_constraints(program, x))
+        dx, dy = _solve_once(
+            program, scaling, factor, tree_axpy(-1.0, gradient, rx), tree_axpy(-1.0, slack, ry)
+        )
+        x, y = tree_axpy(1.0, dx, x), tree_axpy(1.0, dy, y)
+    return x, y
+
+
+def _solve_once(program: StagedProgram, scaling: Scaling, factor: Factor, rx: Primal, ry: ConeVector):
+    z_right = rx.z + jnp.einsum("kln,kl->kn", program.rows.matrix, ry.orthant / scaling.orthant**2)
+    for cone, w, r in zip(program.cones, scaling.second, ry.second, strict=False):
+        z_right += jnp.einsum("kcdn,kcd->kn", cone.matrix, w.inverse_square(r))
+    if program.norm is not None:
+        trust, trust_right = scaling.second[-2], ry.second[-2]
+        trust_shift = trust_right[:, 1:] - _tail_head(trust) * rx.xi[:, None]
+        z_right -= program.norm.scale * _tail_inverse(trust, trust_shift)
+    soft, virtual, virtual_right = program.links.soft, scaling.second[-1], ry.second[-1]
+    link_right = (1.0 - soft) * ry.zero
+    link_right += soft * (virtual_right[:, 1:] - _tail_head(virtual) * rx.zeta[:, None])
+
+    z = _node_solve(factor, z_right)
+    link = block_tridiagonal.solve(factor.schur, program.links.apply(z) - link_right)
+    z = z - _node_solve(factor, program.links.transpose_apply(link))
+
+    rows = (jnp.einsum("kln,kn->kl", program.rows.matrix, z) - ry.orthant) / scaling.orthant**2
+    second = [
+        w.inverse_square(jnp.einsum("kcdn,kn->kcd", cone.matrix, z) - r)
+        for cone, w, r in zip(program.cones, scaling.second, ry.second, strict=False)
+    ]
+    xi = jnp.zeros_like(rx.xi)
+    if program.norm is not None:
+        y = _stack(-rx.xi, -_tail_inverse(trust, program.norm.scale * z + trust_shift))
+        xi = -trust_right[:, 0] - trust.square(y)[:, 0]
+        second.append(y)
+    y = _stack(-rx.zeta, soft * link)
+    zeta = -virtual_right[:, 0] - virtual.square(y)[:, 0]
+    second.append(y)
+    return Primal(z, xi, zeta), ConeVector((1.0 - soft) * link, rows, tuple(second))
+
+
+def _node_solve(factor: Factor, right: Float[Array, "nodes variables"]) -> Float[Array, "nodes variables"]:
+    def one(lower, r):
+        return solve_triangular(lower, solve_triangular(lower, r, lower=True), lower=True, trans=1)
+
+    return jax.vmap(one)(factor.lower, right)

@@ -1,0 +1,120 @@
+"""Equations of motion: a state, a control, and how fast the state changes."""
+
+import abc
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxscp import rotations
+from jaxscp.types import Scalar, Vector3
+
+
+class Dynamics(eqx.Module):
+    """What a vehicle's equations of motion must provide. They do not depend on time."""
+
+    @property
+    @abc.abstractmethod
+    def state_size(self) -> int:
+        """Number of states."""
+
+    @property
+    @abc.abstractmethod
+    def control_size(self) -> int:
+        """Number of controls."""
+
+    @abc.abstractmethod
+    def __call__(
+        self, state: Float[Array, "states"], control: Float[Array, "controls"]
+    ) -> Float[Array, "states"]:
+        """Time derivative of the state."""
+
+
+class RigidBody(Dynamics):
+    """A rigid body under rotor thrusts (equations 1-6), for any number and any tilt of rotors.
+
+    State (13): position m, velocity m/s (both in the world, z up), attitude quaternion (w, x, y, z; body to
+    world), body rate rad/s. Control (m): rotor thrusts in N.
+
+    Example:
+        >>> import jax.numpy as jnp, jaxscp
+        >>> body = jaxscp.airframes.paper_mav().body
+        >>> level = jnp.zeros(13).at[6].set(1.0)
+        >>> rate = body(level, body.hover_thrust())
+        >>> bool(jnp.abs(rate).max() < 1e-6)
+        True
+    """
+
+    mass: Scalar
+    """kg"""
+    inertia: Float[Array, "3 3"]
+    """kg m^2, about the centre of mass in body axes."""
+    thrust_map: Float[Array, "3 rotors"]
+    """M_T: force in body axes of one newton of each rotor's thrust."""
+    torque_map: Float[Array, "3 rotors"]
+    """M_sigma: torque in body axes of one newton of each rotor's thrust, in metres."""
+    gravity: Vector3
+    """m/s^2 in world axes, usually (0, 0, -9.81)."""
+
+    @property
+    def state_size(self) -> int:
+        """13."""
+        return 13
+
+    @property
+    def control_size(self) -> int:
+        """Number of rotors."""
+        return self.thrust_map.shape[-1]
+
+    def __call__(
+        self, state: Float[Array, "states"], control: Float[Array, "controls"]
+    ) -> Float[Array, "states"]:
+        """Equations (1)-(4)."""
+        velocity, attitude, body_rate = state[3:6], state[6:10], state[10:13]
+        acceleration = (
+            rotations.rotation_matrix(attitude) @ (self.thrust_map @ control) / self.mass + self.gravity
+        )
+        torque = self.torque_map @ control - jnp.cross(body_rate, self.inertia @ body_rate)
+        return jnp.concatenate(
+            [
+                velocity,
+                acceleration,
+                rotations.quaternion_rate(attitude, body_rate),
+                jnp.linalg.inv(self.inertia) @ torque,
+            ]
+        )
+
+    def hover_thrust(self) -> Float[Array, "rotors"]:
+        """Least-norm rotor thrusts in N that carry the level body's weight without torque."""
+        wrench = jnp.concatenate([self.thrust_map, self.torque_map])
+        weight = jnp.concatenate([-self.mass * self.gravity, jnp.zeros_like(self.gravity)])
+        return jnp.linalg.pinv(wrench) @ weight
+
+
+class DoubleIntegrator(Dynamics):
+    """A point mass under direct acceleration: state (position, velocity), control acceleration.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from jaxscp.dynamics import DoubleIntegrator
+        >>> DoubleIntegrator(1)(jnp.array([0.0, 2.0]), jnp.array([3.0])).tolist()
+        [2.0, 3.0]
+    """
+
+    dimension: int = eqx.field(default=3, static=True)
+
+    @property
+    def state_size(self) -> int:
+        """Twice the dimension."""
+        return 2 * self.dimension
+
+    @property
+    def control_size(self) -> int:
+        """The dimension."""
+        return self.dimension
+
+    def __call__(
+        self, state: Float[Array, "states"], control: Float[Array, "controls"]
+    ) -> Float[Array, "states"]:
+        """(velocity, acceleration)."""
+        return jnp.concatenate([state[self.dimension :], control])

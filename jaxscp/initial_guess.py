@@ -1,0 +1,132 @@
+"""The initial guess (equations 25-26): a double integrator through the corridor, by the same conic step.
+
+Minimise the sum of |a_k| at a fixed flight time, the corridor held at every node and the landing cone at the
+last ones. The vehicle is taken level, at hover thrust.
+"""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from jaxscp.conic.program import Cones, ConicSolution, Links, NormCost, Rows, StagedProgram
+from jaxscp.landing import LandingScenario, in_cone, route_positions
+from jaxscp.status import StatusCode
+from jaxscp.types import Controls, Nodes, Scalar, States
+
+COMFORTABLE_ACCELERATION = 1.5  # m/s^2: sets the guess's flight time, about 6 s for 10 m from rest to rest
+
+
+class Guess(eqx.Module):
+    """Where the iterations start."""
+
+    states: States
+    controls: Controls
+    dilation: Nodes
+    status: StatusCode
+    """How the guess's own conic program ended."""
+
+
+def initial_guess(
+    scenario: LandingScenario,
+    allocation: Int[Array, "intervals"],
+    conic: Callable[[StagedProgram], ConicSolution],
+) -> Guess:
+    """Guess a flight through the corridor.
+
+    Args:
+        scenario: what to fly.
+        allocation: polytope of every interval; node k obeys that of interval k.
+        conic: the conic solver.
+
+    Returns:
+        States, controls and dilation at the nodes; positions are along the route itself if the program fails.
+    """
+    duration = guess_time(scenario, allocation)
+    program = guess_program(scenario, allocation, duration)
+    solution = conic(program)
+    nodes = program.nodes
+    straight = route_positions(scenario.corridor, scenario.start.position, scenario.goal.position, allocation)
+    solved = jnp.all(jnp.isfinite(solution.z)) & (program.violation(solution.z) < 1e-3)
+    position = jnp.where(solved, solution.z[:, :3], straight)
+    velocity = jnp.where(solved, solution.z[:, 3:6], 0.0)
+    attitude = _blend_attitudes(scenario.start.attitude, scenario.goal.attitude, nodes)
+    states = jnp.concatenate([position, velocity, attitude, jnp.zeros((nodes, 3), position.dtype)], axis=1)
+    states = states.at[0].set(scenario.start.vector()).at[-1].set(scenario.goal.vector())
+    hover = jnp.clip(
+        scenario.airframe.body.hover_thrust(), scenario.airframe.thrust_min, scenario.airframe.thrust_max
+    )
+    controls = jnp.broadcast_to(hover, (nodes, hover.shape[0]))
+    return Guess(states, controls, jnp.full((nodes,), duration), solution.status)
+
+
+def guess_time(scenario: LandingScenario, allocation: Int[Array, "intervals"]) -> Scalar:
+    """Flight time of the guess in s: rest to rest along the route at a comfortable acceleration."""
+    route = route_positions(scenario.corridor, scenario.start.position, scenario.goal.position, allocation)
+    length = jnp.sum(jnp.linalg.norm(jnp.diff(route, axis=0), axis=1))
+    duration = 2.0 * jnp.sqrt(length / COMFORTABLE_ACCELERATION)
+    return jnp.clip(duration, scenario.dilation_min, scenario.dilation_max)
+
+
+def guess_program(
+    scenario: LandingScenario, allocation: Int[Array, "intervals"], duration: Scalar
+) -> StagedProgram:
+    """Program (26) over node variables (position, velocity, acceleration)."""
+    nodes = allocation.shape[0] + 1
+    dtype = scenario.start.position.dtype
+    cell = jnp.concatenate([allocation, allocation[-1:]])
+    corridor = scenario.corridor
+    faces = corridor.normals[cell]
+    cotangent = 1.0 / jnp.tan(scenario.cone_angle)
+    side = jnp.diag(jnp.array([1.0, 1.0, cotangent], dtype))[jnp.array([2, 0, 1])]
+    apex = scenario.goal.position
+    active = in_cone(nodes)[:, None]
+    cone_matrix = jnp.where(active[:, :, None], -_pad_columns(side, 9), 0.0)
+    cone_offset = jnp.where(active, -(side @ apex), jnp.array([1.0, 0.0, 0.0], dtype))
+    acceleration = jnp.zeros(9, dtype).at[6:].set(1.0)
+    return StagedProgram(
+        hessian=jnp.zeros((nodes, 9, 9), dtype),
+        gradient=jnp.zeros((nodes, 9), dtype),
+        links=_double_integrator_links(scenario, duration, nodes),
+        rows=Rows(
+            jnp.concatenate([faces, jnp.zeros((*faces.shape[:2], 6), dtype)], axis=2), corridor.offsets[cell]
+        ),
+        cones=(Cones(cone_matrix[:, None], cone_offset[:, None]),),
+        norm=NormCost(
+            jnp.ones(nodes, dtype), jnp.broadcast_to(acceleration, (nodes, 9)), jnp.zeros((nodes, 9), dtype)
+        ),
+    )
+
+
+def _double_integrator_links(scenario: LandingScenario, duration: Scalar, nodes: int) -> Links:
+    """Exact first-order hold of p'' = a (equation 25), and both ends fixed in position and velocity."""
+    h = duration / (nodes - 1)
+    eye, none = jnp.eye(3), jnp.zeros((3, 3))
+    before = jnp.block([[eye, h * eye, h**2 / 3.0 * eye], [none, eye, h / 2.0 * eye]])
+    after = jnp.block([[-eye, none, h**2 / 6.0 * eye], [none, -eye, h / 2.0 * eye]])
+    fixed = _pad_columns(jnp.eye(6), 9)[None]
+    zero = jnp.zeros_like(fixed)
+    inner = (nodes - 1, 6, 9)
+    ends = [jnp.concatenate([end.position, end.velocity]) for end in (scenario.start, scenario.goal)]
+    offset = jnp.zeros((nodes + 1, 6)).at[0].set(ends[0]).at[-1].set(ends[1])
+    return Links(
+        before=jnp.concatenate([zero, jnp.broadcast_to(before, inner), fixed]),
+        after=jnp.concatenate([fixed, jnp.broadcast_to(after, inner), zero]),
+        offset=offset,
+        soft=jnp.zeros((nodes + 1, 6)),
+        weight=jnp.ones(nodes + 1),
+    )
+
+
+def _pad_columns(matrix: Float[Array, "rows columns"], columns: int) -> Float[Array, "rows padded"]:
+    return jnp.pad(matrix, ((0, 0), (0, columns - matrix.shape[1])))
+
+
+def _blend_attitudes(start, goal, nodes: int) -> Float[Array, "nodes 4"]:
+    """Normalised linear interpolation along the shorter arc."""
+    goal = jnp.where(jnp.dot(start, goal) < 0, -goal, goal)
+    share = jnp.linspace(0.0, 1.0, nodes)[:, None]
+    blend = (1.0 - share) * start + share * goal
+    return jax.vmap(lambda q: q / jnp.maximum(jnp.linalg.norm(q), 1e-9))(blend)

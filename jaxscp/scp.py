@@ -1,0 +1,143 @@
+"""Sequential convex programming (Algorithm 1): linearise, solve the subproblem, repeat until nothing moves.
+
+``init``, ``step`` and ``terminate`` are pure functions of arrays; ``run`` is the loop over them, written once.
+Under ``vmap`` a lane that has ended keeps its state while others go on.
+"""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from jaxscp.conic.interior_point import InteriorPoint
+from jaxscp.conic.program import ConicSolution, StagedProgram
+from jaxscp.convexify import NormTrustRegion, TrustRegion, convexify
+from jaxscp.discretise import Discretisation, discretise
+from jaxscp.problem import OptimalControlProblem, node_times
+from jaxscp.status import Status, StatusCode, usable
+from jaxscp.types import Count, Flag, Scalar
+
+
+class History(eqx.Module):
+    """One row an iteration, (max_iterations,) each; rows from ``iterations`` on are zero."""
+
+    cost: Float[Array, "*iterations"]
+    """The problem's cost at the iterate, as its subproblem predicts it."""
+    objective: Float[Array, "*iterations"]
+    """Optimal value of the subproblem, penalties included and constants left out."""
+    final_time: Float[Array, "*iterations"]
+    """Seconds."""
+    virtual: Float[Array, "*iterations"]
+    """Largest virtual control of an interval, max |nu_i|."""
+    step: Float[Array, "*iterations"]
+    """Largest change of a node, max |z_k - zref_k|."""
+    defect: Float[Array, "*iterations"]
+    """Largest |F(z_i) - x_{i+1}| of an interval: what the iterate lacks of obeying the true dynamics."""
+    conic_iterations: Int[Array, "*iterations"]
+    """Steps of the conic solver."""
+
+
+class SCPState(eqx.Module):
+    """State of the loop."""
+
+    z: Float[Array, "nodes variables"]
+    """The reference: the last accepted iterate."""
+    flow: Discretisation
+    """The flow linearised about it."""
+    cost: Scalar
+    iterations: Count
+    status: StatusCode
+    done: Flag
+    history: History
+
+
+class SCP(eqx.Module):
+    """Settings of the method; the paper's Table I and stopping rule by default.
+
+    Args:
+        trust_region: price of moving away from the reference.
+        virtual_weight: price of virtual control, w_vc.
+        tolerance_virtual: largest |nu_i| of a converged iterate.
+        tolerance_step: largest |z_k - zref_k| of a converged iterate.
+        max_iterations: subproblems allowed.
+        substeps: RK4 steps an interval; never fewer than ten, since optimisers exploit the error of four.
+        conic: solver of the subproblems.
+    """
+
+    trust_region: TrustRegion = NormTrustRegion()
+    virtual_weight: float = 1000.0
+    tolerance_virtual: float = 1e-4
+    tolerance_step: float = 1e-3
+    max_iterations: int = eqx.field(default=50, static=True)
+    substeps: int = eqx.field(default=10, static=True)
+    conic: Callable[[StagedProgram], ConicSolution] = InteriorPoint()
+
+    def init(self, problem: OptimalControlProblem, z: Float[Array, "nodes variables"]) -> SCPState:
+        """State before the first subproblem, from an initial guess."""
+        zeros = jnp.zeros(self.max_iterations, z.dtype)
+        counts = jnp.zeros(self.max_iterations, int)
+        flow = discretise(problem, z, self.substeps)
+        return SCPState(
+            z=z,
+            flow=flow,
+            cost=jnp.zeros((), z.dtype),
+            iterations=jnp.zeros((), int),
+            status=Status.iteration_limit,
+            done=jnp.zeros((), bool),
+            history=History(zeros, zeros, zeros, zeros, zeros, zeros, counts),
+        )
+
+    def step(self, problem: OptimalControlProblem, state: SCPState) -> SCPState:
+        """Solve one subproblem and take its answer as the next reference."""
+        program, cost = convexify(problem, state.z, state.flow, self.trust_region, self.virtual_weight)
+        solution = self.conic(program)
+        good = usable(solution.status) & jnp.all(jnp.isfinite(solution.z))
+        z = jnp.where(good, solution.z, state.z)
+        flow = discretise(problem, z, self.substeps)
+        virtual = jnp.max(jnp.linalg.norm(program.virtual_control(z), axis=1))
+        moved = jnp.max(jnp.linalg.norm(z - state.z, axis=1))
+        small_step = moved < self.tolerance_step
+        closed = virtual < self.tolerance_virtual
+        row = History(
+            cost=cost(z),
+            objective=solution.objective,
+            final_time=node_times(z[:, -1])[-1],
+            virtual=virtual,
+            step=moved,
+            defect=largest_defect(problem, z, flow),
+            conic_iterations=solution.iterations,
+        )
+        status = Status.where(closed, Status.iteration_limit, Status.dynamics_unmet)
+        status = Status.where(closed & small_step, Status.converged, status)
+        return SCPState(
+            z=z,
+            flow=flow,
+            cost=cost(z),
+            iterations=state.iterations + 1,
+            status=Status.where(good, status, solution.status),
+            # A fixed point that still has virtual control will not lose it by going on.
+            done=~good | (small_step & closed) | (moved < 1e-3 * self.tolerance_step),
+            history=jax.tree.map(lambda h, v: h.at[state.iterations].set(v), state.history, row),
+        )
+
+    def terminate(self, state: SCPState) -> Flag:
+        """Whether the loop is over."""
+        return state.done | (state.iterations >= self.max_iterations)
+
+    def run(self, problem: OptimalControlProblem, z: Float[Array, "nodes variables"]) -> SCPState:
+        """Iterate from an initial guess to the end."""
+        return jax.lax.while_loop(
+            lambda state: ~self.terminate(state),
+            lambda state: self.step(problem, state),
+            self.init(problem, z),
+        )
+
+
+def largest_defect(
+    problem: OptimalControlProblem, z: Float[Array, "nodes variables"], flow: Discretisation
+) -> Scalar:
+    """Largest norm over the intervals of F(z_i) - x_{i+1}, physical states only."""
+    n = problem.dynamics.state_size
+    return jnp.max(jnp.linalg.norm(flow.state[:, :n] - z[1:, :n], axis=1))

@@ -1,0 +1,77 @@
+"""Every way a solve can end, as one enumeration that lives in arrays and survives ``jit`` and ``vmap``."""
+
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Bool
+
+
+StatusCode = Any  # a member of Status, or a batch of them; equinox gives its type no public name
+
+
+class Status(eqx.Enumeration):
+    """How a solve ended; the message of each member says what likely happened and what to try.
+
+    Compare with ``==`` (an array of booleans under ``vmap``), choose with ``Status.where``.
+
+    Example:
+        >>> from jaxscp import Status, status_names
+        >>> bool(Status.converged == Status.converged)
+        True
+        >>> status_names(Status.iteration_limit)
+        'iteration_limit'
+    """
+
+    converged = "Converged: the tolerances were met."
+    almost_converged = (
+        "Almost converged: progress ended at a looser accuracy than asked. The problem may be badly scaled or "
+        "its tolerances below what float64 gives."
+    )
+    iteration_limit = "The iteration limit came first. Allow more iterations, start from a better guess, or loosen the tolerances."
+    infeasible = (
+        "The constraints of a convex subproblem contradict each other (a certificate was found). Likely causes: "
+        "start or goal violates a limit, a corridor cell does not reach the next, the landing cone lies outside "
+        "the corridor, or the final time is fixed too short."
+    )
+    unbounded = (
+        "The cost of a convex subproblem falls without bound (a certificate was found). Likely causes: a missing "
+        "limit on a control or on time, or a negative weight."
+    )
+    insufficient_progress = "The steps became too small before the tolerances were met. The problem may be nearly infeasible or badly scaled."
+    numerical_error = "A number that is not finite arose inside the solver. Check scales: SI units, masses and times near one."
+    dynamics_unmet = (
+        "No flight was found that obeys the dynamics: virtual control remains. Likely causes: the final time or "
+        "thrust limits make the task impossible, or the corridor forces too sharp a turn. Another guess may help."
+    )
+    refuted = "The solver met its tolerances, but the independent certificate disagrees: see its report for which check failed."
+    invalid_input = (
+        "The scenario is not valid: a value is not finite, or start, goal, corridor or limits contradict each other. "
+        "Call scenario.check() outside jit and vmap for the field and the cause."
+    )
+
+
+_NAMES = (
+    "converged",
+    "almost_converged",
+    "iteration_limit",
+    "infeasible",
+    "unbounded",
+    "insufficient_progress",
+    "numerical_error",
+    "dynamics_unmet",
+    "refuted",
+    "invalid_input",
+)
+
+
+def status_names(status: StatusCode):
+    """Short names of a status, for tables and files: a string, or an array of strings for a batch."""
+    member_of = [np.asarray(status == getattr(Status, name)) for name in _NAMES]
+    names = np.select(member_of, _NAMES, default="unknown")
+    return str(names) if names.ndim == 0 else names
+
+
+def usable(status: StatusCode) -> Bool[Array, "*batch"]:
+    """Whether a subproblem's answer may be used as the next reference."""
+    return (status == Status.converged) | (status == Status.almost_converged)
