@@ -156,7 +156,9 @@ KINDS: dict[str, Callable[[int], Map]] = {
 """The generators by name, each called with a seed."""
 
 
-def _finished(name: str, rng: np.random.Generator, parts: Iterable[Points], size: Point, clear: float) -> Map:
+def _finished(
+    name: str, rng: np.random.Generator, parts: Iterable[np.ndarray], size: Point, clear: float
+) -> Map:
     """Cut to the limits, and find a clear place in the first and the last seventh of the hall."""
     points = np.concatenate(list(parts))
     points = points[np.all((points >= 0.0) & (points <= size), axis=1)]

@@ -126,12 +126,14 @@ class SCP(eqx.Module):
         """Whether the loop is over."""
         return state.done | (state.iterations >= self.max_iterations)
 
-    def run(self, problem: OptimalControlProblem, z: Float[Array, "nodes variables"]) -> SCPState:
-        """Iterate from an initial guess to the end."""
+    def run(
+        self, problem: OptimalControlProblem, z: Float[Array, "nodes variables"], wanted: Flag | bool = True
+    ) -> SCPState:
+        """Iterate from an initial guess to the end; not at all for a lane that is not wanted."""
+        start = self.init(problem, z)
+        start = eqx.tree_at(lambda s: s.done, start, ~jnp.asarray(wanted))
         return jax.lax.while_loop(
-            lambda state: ~self.terminate(state),
-            lambda state: self.step(problem, state),
-            self.init(problem, z),
+            lambda state: ~self.terminate(state), lambda state: self.step(problem, state), start
         )
 
 

@@ -124,15 +124,9 @@ class InteriorPoint(eqx.Module):
         old, r = progress.iterate, progress.residuals
         newton = _Newton(program, old, self.regularisation, self.refinements)
 
-        square = cones.product(newton.scaled_point, newton.scaled_point)
-        affine = newton.direction(r, 1.0, square, old.tau * old.kappa)
-        step = _longest_step(old, affine)
-        sigma = (1.0 - step) ** 3
-
-        cross = cones.product(newton.scaling.apply_inverse(affine.s), newton.scaling.apply(affine.y))
-        target = tree_axpy(-sigma * r.mu, cones.identity(old.s), tree_axpy(1.0, cross, square))
-        cross_tau = old.tau * old.kappa + affine.tau * affine.kappa - sigma * r.mu
-        direction = newton.direction(r, 1.0 - sigma, target, cross_tau)
+        affine = newton.predictor(r)
+        sigma = (1.0 - _longest_step(old, affine)) ** 3
+        direction = newton.corrector(r, affine, sigma)
         step = 0.99 * _longest_step(old, direction)
 
         new = tree_axpy(step, direction, old)
@@ -183,10 +177,42 @@ class _Newton:
         factor = kkt.factorise(program, self.scaling, regularisation)
         self._solve = lambda rx, ry: kkt.solve(program, self.scaling, factor, rx, ry, refinements)
         self.q, self.b = kkt.linear_cost(program), kkt.right_side(program)
-        self.constant = self._solve(_negated(self.q), self.b)
         self.xi = jax.tree.map(lambda v: v / iterate.tau, iterate.x)
-        self.hessian_xi = kkt.times_hessian(program, self.xi)
+        self.gradient = tree_axpy(2.0, kkt.times_hessian(program, self.xi), self.q)
+
+    def predictor(self, r: Residuals) -> Iterate:
+        """The affine direction; solved together with the embedding's constant one, which both steps share."""
+        square = cones.product(self.scaled_point, self.scaled_point)
+        right, lifted = self._right_side(r, 1.0, square)
+        both = jax.tree.map(lambda u, v: jnp.stack([u, v]), (_negated(self.q), self.b), right)
+        both = jax.vmap(self._solve)(*both)
+        self.constant, solution = (jax.tree.map(lambda v, i=i: v[i], both) for i in range(2))
         self.slope = self._slope()
+        return self._assemble(r, 1.0, self.iterate.tau * self.iterate.kappa, solution, lifted)
+
+    def corrector(self, r: Residuals, affine: Iterate, sigma: Scalar) -> Iterate:
+        """Mehrotra's combined direction: centring by sigma and second-order correction."""
+        square = cones.product(self.scaled_point, self.scaled_point)
+        cross = cones.product(self.scaling.apply_inverse(affine.s), self.scaling.apply(affine.y))
+        target = tree_axpy(-sigma * r.mu, cones.identity(affine.s), tree_axpy(1.0, cross, square))
+        target_tau = self.iterate.tau * self.iterate.kappa + affine.tau * affine.kappa - sigma * r.mu
+        right, lifted = self._right_side(r, 1.0 - sigma, target)
+        return self._assemble(r, 1.0 - sigma, target_tau, self._solve(*right), lifted)
+
+    def _right_side(self, r: Residuals, share: Scalar | float, target: ConeVector):
+        """Residuals reduced by ``share``, scaled complementarity moved by ``-target``."""
+        lifted = self.scaling.apply(cones.divide(self.scaled_point, target))
+        return (jax.tree.map(lambda v: -share * v, r.x), tree_axpy(-share, r.y, lifted)), lifted
+
+    def _assemble(self, r: Residuals, share, target_tau, solution, lifted: ConeVector) -> Iterate:
+        """Add the multiple of the constant direction that the embedding's last equation asks for."""
+        tau, kappa = self.iterate.tau, self.iterate.kappa
+        x, y = solution
+        defect = -share * r.tau + target_tau / tau - tree_dot(self.gradient, x) - tree_dot(self.b, y)
+        dtau = defect / self.slope
+        dx, dy = tree_axpy(dtau, self.constant[0], x), tree_axpy(dtau, self.constant[1], y)
+        ds = _negated(tree_axpy(1.0, lifted, self.scaling.square(dy)))
+        return Iterate(dx, dy, ds, dtau, -(target_tau + kappa * dtau) / tau)
 
     def _slope(self) -> Scalar:
         """Derivative of the embedding's last equation along the constant direction; always negative."""
@@ -195,22 +221,6 @@ class _Newton:
         curvature = tree_dot(apart, kkt.times_hessian(self.program, apart))
         spread = tree_dot(y, self.scaling.square(y))
         return -(curvature + spread + self.iterate.kappa / self.iterate.tau)
-
-    def direction(
-        self, r: Residuals, share: Scalar | float, target: ConeVector, target_tau: Scalar
-    ) -> Iterate:
-        """Solve for residuals reduced by ``share`` and scaled complementarity moved by ``-target``."""
-        tau, kappa = self.iterate.tau, self.iterate.kappa
-        lifted = self.scaling.apply(cones.divide(self.scaled_point, target))
-        right = tree_axpy(-share, r.y, lifted)
-        x1, y1 = self._solve(jax.tree.map(lambda v: -share * v, r.x), right)
-        gradient = tree_axpy(2.0, self.hessian_xi, self.q)
-        defect = -share * r.tau + target_tau / tau - tree_dot(gradient, x1) - tree_dot(self.b, y1)
-        dtau = defect / self.slope
-        dx = tree_axpy(dtau, self.constant[0], x1)
-        dy = tree_axpy(dtau, self.constant[1], y1)
-        ds = _negated(tree_axpy(1.0, lifted, self.scaling.square(dy)))
-        return Iterate(dx, dy, ds, dtau, -(target_tau + kappa * dtau) / tau)
 
 
 def _residuals(program: StagedProgram, scales: Scales, p: Iterate) -> Residuals:

@@ -178,15 +178,18 @@ def solve(
     Refinement is against the full system, not the reduced one: eliminating a cone whose point is near its
     boundary loses as many digits as its scaling has spread, and this is where they come back.
     """
-    x, y = _solve_once(program, scaling, factor, rx, ry)
-    for _ in range(refinements):
+
+    def refine(_, solution):
+        x, y = solution
         gradient = tree_axpy(1.0, times_constraints_transpose(program, y), times_hessian(program, x))
         slack = tree_axpy(-1.0, scaling.square(y), times_constraints(program, x))
         dx, dy = _solve_once(
             program, scaling, factor, tree_axpy(-1.0, gradient, rx), tree_axpy(-1.0, slack, ry)
         )
-        x, y = tree_axpy(1.0, dx, x), tree_axpy(1.0, dy, y)
-    return x, y
+        return tree_axpy(1.0, dx, x), tree_axpy(1.0, dy, y)
+
+    zero = jax.tree.map(jnp.zeros_like, (rx, ry))  # from here the first round solves, the others refine
+    return jax.lax.fori_loop(0, 1 + refinements, refine, zero)
 
 
 def _solve_once(program: StagedProgram, scaling: Scaling, factor: Factor, rx: Primal, ry: ConeVector):

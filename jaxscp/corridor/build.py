@@ -76,7 +76,7 @@ def build_corridor(
     """Safe flight corridor from start to goal through a point cloud.
 
     The cloud is thinned, a route searched and shortened, one polytope made about each leg, and polytopes left
-    out whose neighbours overlap as widely without them. No polytope comes nearer than ``radius`` to a point
+    out whose neighbours overlap about as widely without them. No polytope comes nearer than ``radius`` to a point
     of the cloud as it was given. Between legs the route keeps ``radius + clearance``, every polytope holds a
     capsule of radius ``clearance`` about such a leg, and so consecutive ones overlap in a ball of that radius
     without any repair; legs that end at a tight start or goal can fall short, which the status tells.
@@ -197,26 +197,27 @@ def _balls(polytopes: Polytope, skip: int) -> Float[np.ndarray, "pairs 4"]:
 def _without_redundant(
     polytopes: Polytope, clearance: float
 ) -> tuple[list[int], Float[np.ndarray, "joints 4"]]:
-    """Which polytopes to keep, and the overlaps between those.
+    """Which polytopes to keep, and the overlaps between those."""
+    kept = list(range(len(polytopes.offsets)))
+    while True:
+        left = jax.tree.map(lambda rows: rows[np.array(kept)], polytopes)
+        near, far = _balls(left, 1), _balls(left, 2)
+        dropped = _droppable(near[:, 3], far[:, 3], clearance)
+        if not dropped:
+            return kept, near
+        kept = [k for place, k in enumerate(kept) if place not in dropped]
 
-    One is left out where its neighbours overlap with each other at least as widely as they do with it: the
-    way through gets no narrower.
-    """
-    near, far = _balls(polytopes, 1), _balls(polytopes, 2)
-    count = len(polytopes.offsets)
-    kept, balls = [0], []
-    here = 0
-    while here < count - 1:
-        may_skip = here < count - 2
-        needed = max(clearance, min(near[here, 3], near[here + 1, 3])) if may_skip else np.inf
-        if may_skip and far[here, 3] >= needed:
-            balls.append(far[here])
-            here += 2
-        else:
-            balls.append(near[here])
-            here += 1
-        kept.append(here)
-    return kept, np.array(balls).reshape(-1, 4)
+
+def _droppable(
+    near: Float[np.ndarray, "joints"], far: Float[np.ndarray, "seconds"], clearance: float
+) -> set[int]:
+    """Polytopes, no two of them neighbours, without which the way stays at least half as wide."""
+    dropped: set[int] = set()
+    for middle in range(1, len(far) + 1):
+        enough = max(clearance, 0.5 * min(near[middle - 1], near[middle]))
+        if middle - 1 not in dropped and far[middle - 1] >= enough:
+            dropped.add(middle)
+    return dropped
 
 
 def _packed(polytopes: Polytope, seeds: Segments, joints: Float[np.ndarray, "joints 3"]) -> Corridor:

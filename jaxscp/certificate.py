@@ -1,0 +1,161 @@
+"""An independent judge of an answer: it shares no code with the solver's discretisation.
+
+The planned controls are flown again, from the initial state to the end without correction, by an adaptive
+eighth-order method (diffrax's Dopri8) at tight tolerance. The constraints are then evaluated on that flight,
+densely between the nodes, in their own units.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from diffrax import Dopri8, ODETerm, PIDController, SaveAt, diffeqsolve
+from jaxtyping import Array, Float
+
+from jaxscp import rotations
+from jaxscp.constraints import Constraint, NonNegative, SecondOrder
+from jaxscp.problem import OptimalControlProblem
+from jaxscp.trajectory import Trajectory
+from jaxscp.types import Flag, Scalar
+
+TOLERANCE = 1e-10  # of the re-integration, relative and absolute
+MAX_STEPS = 4096  # of the re-integration, an interval
+
+
+class Flight(eqx.Module):
+    """The re-integrated flight, sampled in every interval from its first to its last point."""
+
+    time: Float[Array, "intervals samples"]
+    """s"""
+    state: Float[Array, "intervals samples states"]
+    control: Float[Array, "intervals samples controls"]
+
+
+class Certificate(eqx.Module):
+    """What the judge found. Violations are zero or positive, in each constraint's own unit."""
+
+    defect: Scalar
+    """Largest distance between the planned and the re-flown state at a node, all states in one norm."""
+    position_error: Scalar
+    """m, of the re-flown end from the planned goal."""
+    velocity_error: Scalar
+    """m/s, likewise."""
+    attitude_error: Scalar
+    """rad, likewise."""
+    rate_error: Scalar
+    """rad/s, likewise."""
+    at_nodes: Float[Array, "constraints"]
+    """Worst violation at the nodes, for each constraint in the order of ``names``."""
+    between_nodes: Float[Array, "constraints"]
+    """Worst violation over dense samples of the whole flight."""
+    names: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def violation(self) -> Scalar:
+        """Worst violation of any constraint over the whole flight."""
+        return jnp.max(self.between_nodes, axis=-1)
+
+    def report(self) -> str:
+        """A short text for people; for one solution, not a batch."""
+        lines = [
+            f"re-flown end: {1e3 * float(self.position_error):.3g} mm, "
+            f"{float(jnp.degrees(self.attitude_error)):.3g} deg, {float(self.velocity_error):.3g} m/s, "
+            f"{float(self.rate_error):.3g} rad/s from the goal",
+            f"largest defect {float(self.defect):.3g}",
+        ]
+        width = max(map(len, self.names))
+        for name, nodes, between in zip(self.names, self.at_nodes, self.between_nodes, strict=True):
+            lines.append(
+                f"{name:<{width}}  violated by {float(nodes):.3g} at nodes, {float(between):.3g} between"
+            )
+        return "\n".join(lines)
+
+
+def certify(problem: OptimalControlProblem, trajectory: Trajectory, samples: int = 200) -> Certificate:
+    """Judge a rigid-body trajectory against its problem.
+
+    Args:
+        problem: what was asked.
+        trajectory: the answer; only its controls, its dilation and its first state are trusted.
+        samples: points an interval at which constraints are evaluated.
+    """
+    flight = fly(problem, trajectory, samples)
+    planned_end, end = trajectory.state[-1], flight.state[-1, -1]
+    defect = jnp.max(jnp.linalg.norm(flight.state[:, -1] - trajectory.state[1:], axis=-1))
+    between = [_worst(c, flight) for c in problem.constraints]
+    at_nodes = [_worst(c, _nodes_only(trajectory)) for c in problem.constraints]
+    return Certificate(
+        defect=defect,
+        position_error=jnp.linalg.norm(end[:3] - planned_end[:3]),
+        velocity_error=jnp.linalg.norm(end[3:6] - planned_end[3:6]),
+        attitude_error=rotations.angle_between(end[6:10], planned_end[6:10]),
+        rate_error=jnp.linalg.norm(end[10:13] - planned_end[10:13]),
+        at_nodes=jnp.stack(at_nodes),
+        between_nodes=jnp.stack(between),
+        names=tuple(c.name for c in problem.constraints),
+    )
+
+
+def fly(problem: OptimalControlProblem, trajectory: Trajectory, samples: int) -> Flight:
+    """Integrate the planned controls from the first state, interval after interval."""
+    intervals = trajectory.time.shape[0] - 1
+    width = 1.0 / intervals
+    shares = jnp.linspace(0.0, 1.0, samples)
+
+    def rate(share, state, ends):
+        (u0, u1), (s0, s1) = ends
+        dilation = s0 + share * (s1 - s0)
+        return width * dilation * problem.dynamics(state, u0 + share * (u1 - u0))
+
+    def interval(state, ends):
+        solution = diffeqsolve(
+            ODETerm(rate),
+            Dopri8(scan_kind="lax"),
+            0.0,
+            1.0,
+            0.25,
+            state,
+            args=ends,
+            saveat=SaveAt(ts=shares),
+            stepsize_controller=PIDController(rtol=TOLERANCE, atol=TOLERANCE),
+            max_steps=MAX_STEPS,
+            throw=False,
+        )
+        states = solution.ys
+        return states[-1], states
+
+    ends = jax.tree.map(lambda v: (v[:-1], v[1:]), (trajectory.control, trajectory.dilation))
+    ends = ((ends[0][0], ends[0][1]), (ends[1][0], ends[1][1]))
+    _, states = jax.lax.scan(interval, trajectory.state[0], ends)
+    blend = shares[None, :, None]
+    control = (1.0 - blend) * trajectory.control[:-1, None] + blend * trajectory.control[1:, None]
+    s0, s1 = trajectory.dilation[:-1, None], trajectory.dilation[1:, None]
+    time = trajectory.time[:-1, None] + width * (s0 * shares + 0.5 * (s1 - s0) * shares**2)
+    return Flight(time, states, control)
+
+
+def _nodes_only(trajectory: Trajectory) -> Flight:
+    return Flight(trajectory.time[:, None], trajectory.state[:, None], trajectory.control[:, None])
+
+
+def _worst(constraint: Constraint, flight: Flight) -> Scalar:
+    """Worst violation on a flight; interval k is judged by the parameters of node k."""
+    count = flight.time.shape[0]
+
+    def violation(state, control, time, parameters):
+        value = constraint.function(state, control, time, parameters)
+        if isinstance(constraint.cone, SecondOrder):
+            return jnp.linalg.norm(value[1:]) - value[0]
+        if isinstance(constraint.cone, NonNegative):
+            return -jnp.min(value)
+        return jnp.max(jnp.abs(value))
+
+    over_samples = jax.vmap(violation, in_axes=(0, 0, 0, None))
+    parameters = jax.tree.map(lambda p: p[:count], constraint.parameters)
+    values = jax.vmap(over_samples)(flight.state, flight.control, flight.time, parameters)
+    active = constraint.active[:count]
+    return jnp.maximum(jnp.max(jnp.where(active[:, None], values, 0.0)), 0.0)
+
+
+def acceptable(certificate: Certificate, distance: float = 1e-3, angle: float = 1.75e-3) -> Flag:
+    """Whether the re-flown end lies within 1 mm and 0.1 degree of the goal."""
+    return (certificate.position_error <= distance) & (certificate.attitude_error <= angle)

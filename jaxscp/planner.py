@@ -1,0 +1,140 @@
+"""The front door: a planner is a set of static choices; calling it plans one scenario."""
+
+import functools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from jaxscp.certificate import Certificate, acceptable, certify
+from jaxscp.initial_guess import initial_guess
+from jaxscp.landing import LandingScenario, allocate, landing_problem
+from jaxscp.problem import OptimalControlProblem, node_times
+from jaxscp.scp import SCP, History, SCPState
+from jaxscp.status import Status, StatusCode
+from jaxscp.trajectory import Trajectory
+from jaxscp.types import Count, Scalar
+from jaxscp.validation import valid, validate
+
+
+class Solution(eqx.Module):
+    """A planned flight and what is known about it. Always finite: look at ``status`` first."""
+
+    status: StatusCode
+    """``converged`` only where the iterations converged and the certificate agrees."""
+    trajectory: Trajectory
+    cost: Scalar
+    """w_u integral |u| dt + w_t t_f."""
+    final_time: Scalar
+    """s"""
+    iterations: Count
+    """Subproblems solved."""
+    certificate: Certificate
+    history: History
+    z: Float[Array, "nodes variables"]
+    """Node variables: the warm start of a re-plan."""
+    allocation: Int[Array, "intervals"]
+    """Polytope of every interval."""
+
+
+class Planner(eqx.Module):
+    """Plans a flight off the deck, through the corridor and back into the landing cone.
+
+    All fields are static choices: a planner is hashable, and one scenario shape compiles once for each planner.
+
+    Args:
+        nodes: N; the flight has N - 1 intervals.
+        method: the SCP settings.
+        samples: points an interval at which the certificate checks the constraints.
+
+    Example:
+        >>> import jaxscp
+        >>> planner = jaxscp.Planner(nodes=12)
+        >>> solution = planner(jaxscp.scenarios.ascent_to_platform())
+        >>> jaxscp.status_names(solution.status)
+        'converged'
+    """
+
+    nodes: int = 30
+    method: SCP = SCP()
+    samples: int = 200
+
+    def __call__(self, scenario: LandingScenario) -> Solution:
+        """Plan one scenario; use ``jax.vmap(planner)`` for a batch.
+
+        Raises:
+            InvalidScenario: if the scenario contradicts itself (outside ``jit`` and ``vmap`` only, before any
+                compilation; inside them the lane's status is ``invalid_input``).
+        """
+        self._check(scenario)
+        return _plan(self, scenario)
+
+    def replan(self, solution: Solution, scenario: LandingScenario) -> Solution:
+        """Plan a changed scenario, starting from the solution of a like one."""
+        self._check(scenario)
+        return _replan(self, scenario, solution.z, solution.allocation)
+
+    def _check(self, scenario: LandingScenario) -> None:
+        if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(scenario)):
+            return
+        validate(scenario, self.nodes)
+
+    def setup(self, scenario: LandingScenario):
+        """Problem, first node variables and allocation of a scenario: what the iterations start from."""
+        allocation = allocate(scenario.corridor, scenario.start.position, scenario.goal.position, self.nodes)
+        problem = landing_problem(scenario, allocation, extended=True)
+        guess = initial_guess(scenario, allocation, self.method.conic)
+        return problem, problem.join(guess.states, guess.controls, guess.dilation), allocation
+
+    def conclude(
+        self, problem: OptimalControlProblem, state: SCPState, allocation: Int[Array, "intervals"]
+    ) -> Solution:
+        """Certify what the iterations ended with."""
+        trajectory = trajectory_of(problem, state.z)
+        certificate = certify(problem, trajectory, self.samples)
+        refuted = (state.status == Status.converged) & ~acceptable(certificate)
+        return Solution(
+            status=Status.where(refuted, Status.refuted, state.status),
+            trajectory=trajectory,
+            cost=state.cost,
+            final_time=trajectory.time[-1],
+            iterations=state.iterations,
+            certificate=certificate,
+            history=state.history,
+            z=state.z,
+            allocation=allocation,
+        )
+
+
+def trajectory_of(problem: OptimalControlProblem, z: Float[Array, "nodes variables"]) -> Trajectory:
+    """The trajectory that node variables stand for."""
+    state, _, control, dilation = jax.vmap(problem.split)(z)
+    return Trajectory(node_times(dilation), state, control, dilation)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _plan(planner: Planner, scenario: LandingScenario) -> Solution:
+    problem, z, allocation = planner.setup(scenario)
+    return _solve(planner, scenario, problem, z, allocation)
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _replan(planner: Planner, scenario: LandingScenario, z, allocation) -> Solution:
+    problem = landing_problem(scenario, allocation, extended=True)
+    return _solve(planner, scenario, problem, z, allocation)
+
+
+def _solve(
+    planner: Planner, scenario: LandingScenario, problem: OptimalControlProblem, z, allocation
+) -> Solution:
+    ok = valid(scenario)
+    state = planner.method.run(problem, z, ok)
+    solution = planner.conclude(problem, state, allocation)
+    return _blank_unless(ok, solution)
+
+
+def _blank_unless(ok, solution: Solution) -> Solution:
+    """Zeros and ``invalid_input`` for a lane whose scenario is not valid, so that nothing else passes on."""
+    blank = jax.tree.map(lambda v: jnp.where(ok, v, jnp.zeros_like(v)), solution)
+    return eqx.tree_at(lambda s: s.status, blank, Status.where(ok, solution.status, Status.invalid_input))

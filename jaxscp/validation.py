@@ -1,0 +1,229 @@
+"""What a scenario must be, each rule written once: errors outside ``jit``, a flag for a lane inside it.
+
+``rules`` works on NumPy arrays (before anything is compiled) and on traced ones alike.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxscp.landing import LandingScenario
+from jaxscp.types import Flag
+
+CLEARANCE = 1e-6  # m by which start and goal may miss their polytope, for rounding
+UNIT_NORM = 1e-3  # by which a quaternion's norm may differ from one
+
+
+class Rule(NamedTuple):
+    """One requirement."""
+
+    holds: Any
+    """Array of one boolean."""
+    message: str
+    """Field and likely cause, for when it does not hold."""
+
+
+class InvalidScenario(ValueError):
+    """A scenario contradicts itself; the message names each field and the likely cause."""
+
+
+def validate(scenario: LandingScenario, nodes: int) -> None:
+    """Raise ``InvalidScenario`` unless every rule holds. Compiles nothing.
+
+    Example:
+        >>> import equinox as eqx, jax.numpy as jnp, jaxscp
+        >>> scenario = jaxscp.scenarios.platform_to_platform()
+        >>> heavy = eqx.tree_at(lambda s: s.airframe.body.mass, scenario, jnp.array(40.0))
+        >>> jaxscp.validate(heavy, nodes=30)
+        Traceback (most recent call last):
+        ...
+        jaxscp.validation.InvalidScenario: airframe: the rotors cannot carry the weight ...
+    """
+    _check_types(scenario, nodes)
+    concrete = jax.tree.map(np.asarray, scenario)
+    broken = [rule.message for rule in _finite(concrete, np) if not rule.holds]
+    if not broken:
+        broken = [rule.message for rule in rules(concrete, np) if not rule.holds]
+    if broken:
+        raise InvalidScenario("\n".join(broken))
+
+
+def valid(scenario: LandingScenario) -> Flag:
+    """Whether every rule holds, as an array: for lanes of a batch."""
+    with np.errstate(all="ignore"):
+        checks = [*_finite(scenario, jnp), *rules(scenario, jnp)]
+    return jnp.all(jnp.stack([jnp.asarray(rule.holds) for rule in checks]))
+
+
+def _check_types(scenario: LandingScenario, nodes: int) -> None:
+    """Shapes and precision: static, so checked under jit as well."""
+    if not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
+        raise InvalidScenario(
+            "precision: jaxscp solves in float64, which JAX has switched off. Put "
+            "jax.config.update('jax_enable_x64', True) at the start of the program, or set JAX_ENABLE_X64=1."
+        )
+    if nodes < 2:
+        raise InvalidScenario(f"nodes: a flight needs at least 2 nodes, not {nodes}.")
+    for name, leaf in named_leaves(scenario):
+        if not hasattr(leaf, "dtype"):
+            raise InvalidScenario(
+                f"{name}: expected an array, got {type(leaf).__name__}; wrap it in jnp.asarray."
+            )
+        if leaf.dtype != np.float64:
+            raise InvalidScenario(
+                f"{name}: expected float64, got {leaf.dtype}. Was the scenario built before jax_enable_x64 was set?"
+            )
+    for name, leaf, shape in _expected_shapes(scenario):
+        if tuple(leaf.shape) != shape:
+            raise InvalidScenario(f"{name}: expected shape {shape}, got {tuple(leaf.shape)}.")
+    polytopes = scenario.corridor.normals.shape[0]
+    if polytopes > nodes - 1:
+        raise InvalidScenario(
+            f"corridor: {polytopes} polytopes need at least {polytopes + 1} nodes, one interval each, not {nodes}."
+        )
+
+
+def named_leaves(scenario: LandingScenario):
+    """Leaves of the scenario with the names that users know them by."""
+    for path, leaf in jax.tree_util.tree_leaves_with_path(scenario):
+        yield jax.tree_util.keystr(path).lstrip("."), leaf
+
+
+def _expected_shapes(s: LandingScenario):
+    rotors = s.airframe.body.thrust_map.shape[-1] if s.airframe.body.thrust_map.ndim else 0
+    polytopes, faces = (*s.corridor.offsets.shape, 0, 0)[:2]
+    yield "airframe.body.mass", s.airframe.body.mass, ()
+    yield "airframe.body.inertia", s.airframe.body.inertia, (3, 3)
+    yield "airframe.body.thrust_map", s.airframe.body.thrust_map, (3, rotors)
+    yield "airframe.body.torque_map", s.airframe.body.torque_map, (3, rotors)
+    yield "airframe.body.gravity", s.airframe.body.gravity, (3,)
+    yield "airframe.thrust_min", s.airframe.thrust_min, (rotors,)
+    yield "airframe.thrust_max", s.airframe.thrust_max, (rotors,)
+    for name in ("start", "goal"):
+        state = getattr(s, name)
+        yield f"{name}.position", state.position, (3,)
+        yield f"{name}.velocity", state.velocity, (3,)
+        yield f"{name}.attitude", state.attitude, (4,)
+        yield f"{name}.body_rate", state.body_rate, (3,)
+    yield "corridor.normals", s.corridor.normals, (polytopes, faces, 3)
+    yield "corridor.joints", s.corridor.joints, (max(polytopes - 1, 0), 3)
+    for name in ("cone_angle", "dilation_min", "dilation_max"):
+        yield name, getattr(s, name), ()
+    yield "weights.control", s.weights.control, ()
+    yield "weights.time", s.weights.time, ()
+
+
+def _finite(scenario: LandingScenario, xp):
+    for name, leaf in named_leaves(scenario):
+        yield Rule(xp.all(xp.isfinite(leaf)), f"{name}: holds a value that is NaN or infinite.")
+
+
+def rules(s: LandingScenario, xp):
+    """Every requirement on values; ``xp`` is numpy or jax.numpy."""
+    yield from _vehicle_rules(s, xp)
+    yield from _limit_rules(s, xp)
+    yield from _corridor_rules(s, xp)
+    yield from _cone_rules(s, xp)
+
+
+def _vehicle_rules(s: LandingScenario, xp):
+    body, frame = s.airframe.body, s.airframe
+    yield Rule(body.mass > 0, f"airframe.body.mass: must be positive, got {body.mass} kg.")
+    asymmetry = xp.max(xp.abs(body.inertia - xp.swapaxes(body.inertia, -1, -2)))
+    smallest = xp.min(xp.linalg.eigvalsh(0.5 * (body.inertia + xp.swapaxes(body.inertia, -1, -2))))
+    yield Rule(
+        (smallest > 0) & (asymmetry <= 1e-9 * xp.max(xp.abs(body.inertia))),
+        "airframe.body.inertia: must be symmetric and positive definite; units are kg m^2.",
+    )
+    yield Rule(
+        xp.all(frame.thrust_min <= frame.thrust_max),
+        f"airframe.thrust_min: {frame.thrust_min} exceeds airframe.thrust_max {frame.thrust_max} N for some rotor.",
+    )
+    # Necessary, and for upright rotors sufficient: the greatest thrust along the body's z axis carries the weight.
+    along = body.thrust_map[2]
+    greatest = xp.sum(xp.maximum(along * frame.thrust_min, along * frame.thrust_max))
+    least = xp.sum(xp.minimum(along * frame.thrust_min, along * frame.thrust_max))
+    weight = -body.mass * body.gravity[2]
+    yield Rule(
+        greatest >= weight,
+        f"airframe: the rotors cannot carry the weight (greatest thrust {greatest} N, weight {weight} N): check "
+        "airframe.body.mass in kg and airframe.thrust_max in N a rotor; hover is impossible.",
+    )
+    yield Rule(
+        least <= weight,
+        f"airframe.thrust_min: even the least thrust {least} N exceeds the weight {weight} N; hover is impossible.",
+    )
+
+
+def _limit_rules(s: LandingScenario, xp):
+    yield Rule(
+        (s.dilation_min > 0) & (s.dilation_min < s.dilation_max),
+        f"dilation_min: need 0 < dilation_min < dilation_max, got {s.dilation_min} and {s.dilation_max} s.",
+    )
+    yield Rule(
+        (s.cone_angle > 0) & (s.cone_angle < np.pi / 2),
+        f"cone_angle: must lie between 0 and pi/2 radians, got {s.cone_angle}. Was it given in degrees?",
+    )
+    yield Rule(
+        (s.weights.control >= 0) & (s.weights.time >= 0) & (s.weights.control + s.weights.time > 0),
+        "weights: control and time must not be negative, and one must be positive.",
+    )
+    for name in ("start", "goal"):
+        norm = xp.sqrt(xp.sum(getattr(s, name).attitude ** 2))
+        yield Rule(
+            xp.abs(norm - 1.0) <= UNIT_NORM,
+            f"{name}.attitude: quaternion (w, x, y, z) has norm {norm}, not 1. Normalise it; is w first?",
+        )
+
+
+def _corridor_rules(s: LandingScenario, xp):
+    corridor = s.corridor
+    inside_first = xp.min(corridor.offsets[0] - corridor.normals[0] @ s.start.position)
+    inside_last = xp.min(corridor.offsets[-1] - corridor.normals[-1] @ s.goal.position)
+    yield Rule(
+        inside_first >= -CLEARANCE,
+        f"start.position: lies {-inside_first} m outside the corridor's first polytope (empty, or elsewhere?).",
+    )
+    yield Rule(
+        inside_last >= -CLEARANCE,
+        f"goal.position: lies {-inside_last} m outside the corridor's last polytope (empty, or elsewhere?).",
+    )
+    for side, first in (("before", 0), ("after", 1)):
+        normals, offsets = (
+            corridor.normals[first:][: corridor.count - 1],
+            corridor.offsets[first:][: corridor.count - 1],
+        )
+        depth = xp.min(offsets - xp.einsum("kfc,kc->kf", normals, corridor.joints), axis=-1, initial=np.inf)
+        yield Rule(
+            xp.all(depth >= -CLEARANCE),
+            f"corridor.joints: a joint lies outside the polytope {side} it; those polytopes are disjoint or empty, "
+            "or joints and polytopes are in different orders.",
+        )
+    yield Rule(
+        xp.all(_bounded(corridor.normals, xp)),
+        "corridor.normals: a polytope is unbounded; add faces (jaxscp.corridor.box makes a bounded one).",
+    )
+
+
+def _bounded(normals, xp):
+    """Whether {d : normals d <= 0} holds only zero, for each polytope.
+
+    A cone that holds more holds a line, then the normals have rank below three, or an extreme ray, which lies
+    on two faces and so along the cross product of their normals.
+    """
+    a, b = np.triu_indices(normals.shape[1], 1)
+    rays = xp.cross(normals[:, a], normals[:, b])
+    length = xp.sqrt(xp.sum(rays**2, axis=-1, keepdims=True))
+    proper = length[..., 0] > 1e-9
+    rays = rays / xp.maximum(length, 1e-9)
+    along = xp.einsum("kfc,krc->krf", normals, rays)
+    open_ray = (xp.max(along, axis=-1) <= 1e-9) | (xp.min(along, axis=-1) >= -1e-9)
+    full_rank = xp.linalg.eigvalsh(xp.einsum("kfc,kfd->kcd", normals, normals))[:, 0] > 1e-9
+    return full_rank & ~xp.any(open_ray & proper, axis=-1)
+
+
+def _cone_rules(s: LandingScenario, xp):
+    """The goal is the cone's apex, so it is inside; the vehicle must not have to come from below."""
+    return iter(())
