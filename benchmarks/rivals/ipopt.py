@@ -9,9 +9,12 @@ i does.
 The terminal attitude is held by three numbers, the vector part of the error quaternion. The flow keeps |q|,
 so a fourth would be implied by the others, and multipliers would not be unique.
 
-Run ``python -m benchmarks.rivals.ipopt`` for a table of the three-box problem.
+Run ``python -m benchmarks.rivals.ipopt`` for a table of the three-box problem; ``--compiled`` compiles first.
 """
 
+import argparse
+import contextlib
+import tempfile
 import time
 from dataclasses import dataclass, replace
 from typing import Any
@@ -32,6 +35,8 @@ from benchmarks.rivals.problem import (
     worst_escape,
 )
 
+CONE_ROUNDING = 1e-6  # metres
+
 # dynamics
 
 
@@ -51,29 +56,37 @@ def state_rate(problem: LandingArrays, state: ca.SX, thrusts: ca.SX) -> ca.SX:
     )
 
 
+def runge_kutta_step(problem: LandingArrays, substeps: int) -> ca.Function:
+    """(state and effort, extended controls at the step's two ends) to state and effort at its end."""
+    begin, now, following = ca.SX.sym("y", STATES + 1), *(ca.SX.sym(n, problem.rotors + 1) for n in "vw")
+    h, middle = problem.interval / substeps, (now + following) / 2
+
+    def rate(held: ca.SX, y: ca.SX) -> ca.SX:
+        thrusts, dilation = held[:-1], held[-1]
+        return dilation * ca.vertcat(state_rate(problem, y[:STATES], thrusts), ca.norm_2(thrusts))
+
+    k1 = rate(now, begin)
+    k2 = rate(middle, begin + h / 2 * k1)
+    k3 = rate(middle, begin + h / 2 * k2)
+    k4 = rate(following, begin + h * k3)
+    return ca.Function("step", [begin, now, following], [begin + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)])
+
+
 def interval_flow(problem: LandingArrays, inner_points: int) -> ca.Function:
-    """(x[i], v[i], v[i+1]) to the end state, the inner positions (3, inner_points) and the effort."""
-    width = problem.rotors + 1
-    state, now, following = ca.SX.sym("x", STATES), ca.SX.sym("v", width), ca.SX.sym("w", width)
-    each = -(-problem.substeps // (inner_points + 1))  # inner points fall on whole substeps
+    """(x[i], v[i], v[i+1]) to the end state, the inner positions (3, inner_points) and the effort.
+
+    Steps stay calls of one small function: unrolled, they could not be compiled in reasonable time.
+    """
+    state, now, following = ca.MX.sym("x", STATES), *(ca.MX.sym(n, problem.rotors + 1) for n in "vw")
+    each = -(-problem.substeps // (inner_points + 1))  # inner points fall on whole steps
     substeps = each * (inner_points + 1)
-    h = 1.0 / substeps
-
-    def rate(fraction: float, x: ca.SX) -> ca.SX:
-        held = (1.0 - fraction) * now + fraction * following
-        flow = ca.vertcat(state_rate(problem, x[:STATES], held[:-1]), ca.norm_2(held[:-1]))
-        return problem.interval * held[-1] * flow
-
+    step = runge_kutta_step(problem, substeps)
+    held = [(1 - j / substeps) * now + j / substeps * following for j in range(substeps + 1)]
     path = [ca.vertcat(state, 0.0)]
-    for step in range(substeps):
-        x, fraction = path[-1], step * h
-        k1 = rate(fraction, x)
-        k2 = rate(fraction + h / 2, x + h / 2 * k1)
-        k3 = rate(fraction + h / 2, x + h / 2 * k2)
-        k4 = rate(fraction + h, x + h * k3)
-        path.append(x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4))
-    inner = [x[:3] for x in path[each:-1:each]]
-    positions = ca.horzcat(*inner) if inner else ca.SX(3, 0)
+    for j in range(substeps):
+        path.append(step(path[-1], held[j], held[j + 1]))
+    inner = [y[:3] for y in path[each:-1:each]]
+    positions = ca.horzcat(*inner) if inner else ca.MX(3, 0)
     return ca.Function("flow", [state, now, following], [path[-1][:STATES], positions, path[-1][STATES]])
 
 
@@ -113,8 +126,10 @@ class _Constraints:
         self.upper.append(np.full(flat.numel(), upper))
 
 
-def transcribe(problem: LandingArrays, inner_points: int, max_iterations: int) -> Transcription:
-    """State the nonlinear program and have CasADi differentiate it."""
+def transcribe(
+    problem: LandingArrays, inner_points: int = 0, max_iterations: int = 3000, compiled: bool = False
+) -> Transcription:
+    """State the nonlinear program and have CasADi differentiate it; arguments as in ``solve``."""
     began = time.perf_counter()
     nodes, intervals = problem.nodes, problem.nodes - 1
     stacked = ca.MX.sym("Z", STATES + problem.rotors + 1, nodes)
@@ -134,11 +149,13 @@ def transcribe(problem: LandingArrays, inner_points: int, max_iterations: int) -
     duration = problem.interval * ca.sum2((extended[-1, :-1] + extended[-1, 1:]) / 2)
     cost = problem.weight_control * ca.sum2(effort) + problem.weight_time * duration
     program = {"x": ca.vec(stacked), "f": cost, "g": ca.vertcat(*constraints.expressions)}
-    options = {
+    options: dict[str, Any] = {
         "print_time": False,
         "ipopt": {"print_level": 0, "sb": "yes", "max_iter": max_iterations},
     }
-    solver = ca.nlpsol("landing", "ipopt", program, options)
+    solver = (
+        _compiled_solver(program, options) if compiled else ca.nlpsol("landing", "ipopt", program, options)
+    )
     lower, upper = variable_bounds(problem)
     return Transcription(
         solver=solver,
@@ -148,6 +165,18 @@ def transcribe(problem: LandingArrays, inner_points: int, max_iterations: int) -
         constraint_upper=np.concatenate(constraints.upper),
         build_seconds=time.perf_counter() - began,
     )
+
+
+def _compiled_solver(program: dict[str, ca.MX], options: dict[str, Any]) -> ca.Function:
+    """The solver with its derivatives in C. CasADi writes them where it stands; the loaded code stays."""
+    compiling = {
+        "jit": True,
+        "jit_cleanup": False,
+        "compiler": "shell",
+        "jit_options": {"flags": ["-O1"], "cleanup": False},
+    }
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+        return ca.nlpsol("landing", "ipopt", program, options | compiling)
 
 
 def attitude_error(attitude: ca.MX, goal: Floats) -> ca.MX:
@@ -187,11 +216,11 @@ def hold_cone(constraints: _Constraints, problem: LandingArrays, positions: ca.M
     """Hold those positions (3, n) that are active (n,) in the landing cone."""
     coned = np.flatnonzero(active).tolist()
     if coned:
-        # squared, and with the height's sign apart: smooth also straight above the apex
+        # rounded at its tip, smooth there and wider by CONE_ROUNDING at most; the squared form's gradient
+        # dies out towards the tip, which costs IPOPT many times the iterations
         from_apex = positions[:, coned] - ca.DM(problem.cone_apex)
-        height = problem.cone_cotangent * from_apex[2, :]
-        constraints.nonnegative(height**2 - ca.sum1(from_apex[:2, :] ** 2))
-        constraints.nonnegative(height)
+        sideways = ca.sqrt(ca.sum1(from_apex[:2, :] ** 2) + CONE_ROUNDING**2) - CONE_ROUNDING
+        constraints.nonnegative(problem.cone_cotangent * from_apex[2, :] - sideways)
 
 
 def variable_bounds(problem: LandingArrays) -> tuple[Floats, Floats]:
@@ -245,6 +274,7 @@ def solve(
     starts: int = 4,
     seed: int = 0,
     max_iterations: int = 3000,
+    compiled: bool = False,
 ) -> IpoptRun:
     """Minimise w_u phi + w_t t from the guess and from random perturbations of it.
 
@@ -254,8 +284,10 @@ def solve(
         starts: number of starting points; the guess itself is the first.
         seed: of the perturbations.
         max_iterations: of IPOPT, for each start.
+        compiled: whether the derivatives go through the system's C compiler. That takes a while, once, and
+            makes each iteration several times faster.
     """
-    transcription = transcribe(problem, inner_points, max_iterations)
+    transcription = transcribe(problem, inner_points, max_iterations, compiled)
     random = np.random.default_rng(seed)
     guess = np.column_stack([problem.states, extended_controls(problem)])
     lines: list[IpoptStart] = []
@@ -312,13 +344,16 @@ def _solve_from(transcription: Transcription, guess: Floats) -> tuple[Floats, Ip
 
 def main() -> None:
     """Print a short table of the three-box problem."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("--compiled", action="store_true", help="compile the derivatives to C first")
+    compiled = parser.parse_args().compiled
     problem = three_box()
     print(
         "w_t  inner points     cost   t_f s  escape m  defect  build s; each start: cost iterations (seconds)"
     )
     for inner_points in (0, 4):
         for weight_time in (0.0, 5.0):
-            run = solve(replace(problem, weight_time=weight_time), inner_points)
+            run = solve(replace(problem, weight_time=weight_time), inner_points, compiled=compiled)
             flown = fly(problem, run.states, run.controls, run.dilation)
             starts = ", ".join(
                 f"{line.cost:.3f} {line.iterations} ({line.seconds:.1f})"

@@ -161,9 +161,10 @@ def along_polyline(corners: Floats, count: int) -> Floats:
 
 
 def roomiest_box(positions: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:
-    """Half-spaces (N, 6, 3) and (N, 6) of the box with most clearance at each position; the later box on ties.
+    """Half-spaces (N, 6, 3) and (N, 6) of the box with most clearance at each position.
 
-    Clearance is compared to the nanometre, so that rounding has no say in a tie (node 8 of the three boxes).
+    The later box wins a tie, and clearance is compared to the nanometre so that rounding has no say in one:
+    node 8 of the three boxes is as deep in the first as in the second.
     """
     faces = np.concatenate([np.eye(3), -np.eye(3)])
     offsets = np.concatenate([upper, -lower], axis=1)
