@@ -8,46 +8,53 @@ from jaxtyping import Array, Float
 
 
 class BlockCholesky(eqx.Module):
-    """The factor L of S = L L': blocks on the diagonal and just below it."""
+    """The factor L of S = L L', kept in the form that makes its sweeps one product a block.
 
-    diagonal: Float[Array, "blocks size size"]
-    below: Float[Array, "blocks size size"]
-    """Row block l + 1, column block l; the last entry is unused."""
+    With D_l the diagonal blocks of L and B_l the block below D_l:
+    """
+
+    inverse: Float[Array, "blocks size size"]
+    """D_l^-1."""
+    forward: Float[Array, "blocks size size"]
+    """D_l^-1 B_{l-1}: what a block of L y = r owes to the block before; zero for the first."""
+    backward: Float[Array, "blocks size size"]
+    """(B_l D_l^-1)': what a block of L' x = y owes to the block after; zero for the last."""
 
 
 def factor(
     diagonal: Float[Array, "blocks size size"], above: Float[Array, "blocks size size"]
 ) -> BlockCholesky:
-    """Factor S from its diagonal blocks and the blocks just right of them (the last of which is unused).
+    """Factor S from its diagonal blocks and the blocks just right of them (the last of which is zero).
 
-    Only this recursion runs along the chain in sequence; all else in the interior point is batched over it.
+    Only this recursion and the two sweeps run along the chain; all else is batched over it.
     """
 
     def step(carry, blocks):
         diagonal, above = blocks
         lower = jnp.linalg.cholesky(diagonal - carry, symmetrize_input=False)
-        below = solve_triangular(lower, above, lower=True).T
-        return below @ below.T, (lower, below)
+        below = solve_triangular(lower, above, lower=True)  # B_l'
+        return below.T @ below, (lower, below)
 
     size = diagonal.shape[-1]
-    _, (lower, below) = jax.lax.scan(step, jnp.zeros((size, size), diagonal.dtype), (diagonal, above))
-    return BlockCholesky(lower, below)
+    eye = jnp.eye(size, dtype=diagonal.dtype)
+    _, (lower, below) = jax.lax.scan(step, jnp.zeros_like(eye), (diagonal, above))
+    inverse = jax.vmap(lambda D: solve_triangular(D, eye, lower=True))(lower)
+    forward = jnp.einsum("lij,lkj->lik", inverse[1:], below[:-1])
+    backward = jnp.einsum("lji,ljk->lik", inverse, below)
+    return BlockCholesky(inverse, jnp.concatenate([jnp.zeros_like(forward[:1]), forward]), backward)
 
 
 def solve(cholesky: BlockCholesky, right: Float[Array, "blocks size"]) -> Float[Array, "blocks size"]:
     """Solve S y = right by a forward and a backward sweep."""
 
-    def forward(carry, block):
-        lower, below, r = block
-        y = solve_triangular(lower, r - carry, lower=True)
-        return below @ y, y
-
-    def backward(carry, block):
-        lower, below, y = block
-        x = solve_triangular(lower, y - below.T @ carry, lower=True, trans=1)
-        return x, x
+    def sweep(carry, block):
+        matrix, own = block
+        value = own - matrix @ carry
+        return value, value
 
     zero = jnp.zeros_like(right[0])
-    _, y = jax.lax.scan(forward, zero, (cholesky.diagonal, cholesky.below, right))
-    _, x = jax.lax.scan(backward, zero, (cholesky.diagonal, cholesky.below, y), reverse=True)
+    own = jnp.einsum("lij,lj->li", cholesky.inverse, right)
+    _, y = jax.lax.scan(sweep, zero, (cholesky.forward, own))
+    own = jnp.einsum("lji,lj->li", cholesky.inverse, y)
+    _, x = jax.lax.scan(sweep, zero, (cholesky.backward, own), reverse=True)
     return x

@@ -1,7 +1,8 @@
 """Symmetric cones: products, distances to the boundary and Nesterov-Todd scalings.
 
-A point of the product cone is a ``ConeVector``: rows of the zero cone, of the nonnegative orthant, and groups
-of second-order cones {(t, v): |v| <= t} along the last axis. Formulas: Vandenberghe, "The CVXOPT linear and
+A point of the product cone is a ``ConeVector``: rows of the zero cone, of the nonnegative orthant, and
+second-order cones {(t, v): |v| <= t} along the last axis, padded with zeros to one dimension so that one
+batched operation serves them all. Formulas: Vandenberghe, "The CVXOPT linear and
 quadratic cone program solvers" (2010), sections 4 and 5.
 """
 
@@ -20,7 +21,7 @@ class ConeVector(eqx.Module):
 
     zero: Float[Array, "*zero"]
     orthant: Float[Array, "*orthant"]
-    second: tuple[Float[Array, "..."], ...]
+    second: Float[Array, "cones dimension"]
 
 
 def tree_dot(a, b) -> Scalar:
@@ -120,87 +121,59 @@ def second_order_scaling(s: Float[Array, "*b d"], y: Float[Array, "*b d"]) -> Se
 
 
 class Scaling(eqx.Module):
-    """Nesterov-Todd scaling of the whole product cone."""
+    """Nesterov-Todd scaling of the whole product cone; zero on the zero cone, whose slack is always zero."""
 
     orthant: Float[Array, "*orthant"]
-    second: tuple[SecondOrderScaling, ...]
+    second: SecondOrderScaling
 
     def apply(self, v: ConeVector) -> ConeVector:
-        """W v; zero on the zero cone, whose slack is always zero."""
-        return ConeVector(
-            jnp.zeros_like(v.zero),
-            self.orthant * v.orthant,
-            tuple(w.apply(x) for w, x in zip(self.second, v.second, strict=True)),
-        )
+        """W v."""
+        return ConeVector(jnp.zeros_like(v.zero), self.orthant * v.orthant, self.second.apply(v.second))
 
     def apply_inverse(self, v: ConeVector) -> ConeVector:
-        """W^-1 v; zero on the zero cone."""
-        return ConeVector(
-            jnp.zeros_like(v.zero),
-            v.orthant / self.orthant,
-            tuple(w.apply_inverse(x) for w, x in zip(self.second, v.second, strict=True)),
-        )
+        """W^-1 v."""
+        return ConeVector(jnp.zeros_like(v.zero), v.orthant / self.orthant, self.second.apply_inverse(v.second))
 
     def square(self, v: ConeVector) -> ConeVector:
-        """W^2 v; zero on the zero cone."""
-        return ConeVector(
-            jnp.zeros_like(v.zero),
-            self.orthant**2 * v.orthant,
-            tuple(w.square(x) for w, x in zip(self.second, v.second, strict=True)),
-        )
+        """W^2 v."""
+        return ConeVector(jnp.zeros_like(v.zero), self.orthant**2 * v.orthant, self.second.square(v.second))
 
 
 def scaling(s: ConeVector, y: ConeVector) -> Scaling:
     """Nesterov-Todd scaling of an interior pair of slack s and multiplier y."""
-    return Scaling(
-        jnp.sqrt(s.orthant / y.orthant),
-        tuple(second_order_scaling(a, b) for a, b in zip(s.second, y.second, strict=True)),
-    )
+    return Scaling(jnp.sqrt(s.orthant / y.orthant), second_order_scaling(s.second, y.second))
 
 
 def product(a: ConeVector, b: ConeVector) -> ConeVector:
     """Jordan product a o b; zero on the zero cone."""
-    return ConeVector(
-        jnp.zeros_like(a.zero), a.orthant * b.orthant, tuple(map(jordan_product, a.second, b.second))
-    )
+    return ConeVector(jnp.zeros_like(a.zero), a.orthant * b.orthant, jordan_product(a.second, b.second))
 
 
 def divide(a: ConeVector, b: ConeVector) -> ConeVector:
     """The u with a o u = b; zero on the zero cone."""
-    return ConeVector(
-        jnp.zeros_like(a.zero), b.orthant / a.orthant, tuple(map(jordan_divide, a.second, b.second))
-    )
+    return ConeVector(jnp.zeros_like(a.zero), b.orthant / a.orthant, jordan_divide(a.second, b.second))
 
 
 def identity(like: ConeVector) -> ConeVector:
     """The identity e of the Jordan product; zero on the zero cone."""
-    return ConeVector(
-        jnp.zeros_like(like.zero),
-        jnp.ones_like(like.orthant),
-        tuple(jnp.zeros_like(v).at[..., 0].set(1.0) for v in like.second),
-    )
+    head = jnp.zeros_like(like.second).at[:, 0].set(1.0)
+    return ConeVector(jnp.zeros_like(like.zero), jnp.ones_like(like.orthant), head)
 
 
 def degree(like: ConeVector) -> int:
     """Number of complementarity pairs: one a half-space, one a second-order cone."""
-    return like.orthant.size + sum(v[..., 0].size for v in like.second)
+    return like.orthant.size + like.second.shape[0]
 
 
 def longest_step(point: ConeVector, direction: ConeVector) -> Scalar:
     """Largest step, at most 1e3, that keeps a point in the cone."""
     along = jnp.where(direction.orthant < 0, -point.orthant / direction.orthant, jnp.inf)
-    steps = [jnp.min(along, initial=1e3)]
-    steps += [
-        jnp.min(step_to_boundary(p, d), initial=1e3)
-        for p, d in zip(point.second, direction.second, strict=True)
-    ]
-    return jnp.min(jnp.stack(steps))
+    second = step_to_boundary(point.second, direction.second)
+    return jnp.minimum(jnp.min(along, initial=1e3), jnp.min(second, initial=1e3))
 
 
-def margin(point: ConeVector) -> Scalar:
-    """Smallest eigenvalue: how deep inside the cone a point is (negative outside)."""
-    depths = [jnp.min(point.orthant, initial=jnp.inf)]
-    depths += [
-        jnp.min(v[..., 0] - jnp.linalg.norm(v[..., 1:], axis=-1), initial=jnp.inf) for v in point.second
-    ]
-    return jnp.min(jnp.stack(depths))
+def lift_inside(point: ConeVector) -> ConeVector:
+    """Move every cone's part at least one unit inside its cone; the zero cone's part is kept."""
+    norm = jnp.linalg.norm(point.second[:, 1:], axis=1)
+    head = jnp.maximum(point.second[:, 0], norm + 1.0)
+    return ConeVector(point.zero, jnp.maximum(point.orthant, 1.0), point.second.at[:, 0].set(head))

@@ -100,11 +100,11 @@ class InteriorPoint(eqx.Module):
         q, b = kkt.linear_cost(program), kkt.right_side(program)
         x, y = kkt.solve(program, unit, factor, _negated(q), b, self.refinements)
         slack = eqx.tree_at(lambda v: v.zero, _negated(y), jnp.zeros_like(y.zero))
-        slack = _into_cone(slack)
+        slack = cones.lift_inside(slack)
         # The bounds of the norms follow their cones, so that those rows start without residual.
-        xi = slack.second[-2][:, 0] if program.norm is not None else x.xi
-        x = Primal(x.z, xi, slack.second[-1][:, 0])
-        iterate = Iterate(x, _into_cone(y), slack, jnp.ones(()), jnp.ones(()))
+        _, trust, virtual = kkt.unpack(program, slack.second)
+        x = Primal(x.z, trust[:, 0], virtual[:, 0])
+        iterate = Iterate(x, cones.lift_inside(y), slack, jnp.ones(()), jnp.ones(()))
         residuals = _residuals(program, scales, iterate)
         false = jnp.zeros((), bool)
         return Progress(iterate, residuals, jnp.zeros((), int), false, ~jnp.isfinite(residuals.error))
@@ -144,11 +144,11 @@ class InteriorPoint(eqx.Module):
     ) -> ConicSolution:
         iterate, r = progress.iterate, progress.residuals
         y, tau = iterate.y, jnp.maximum(iterate.tau, 1e-12)
-        soft = scaled.links.soft
+        user, _, _ = kkt.unpack(scaled, y.second)
         multipliers = Multipliers(
-            links=((1.0 - soft) * y.zero + soft * y.second[-1][:, 1:]) / tau,
+            links=kkt.link_multiplier(scaled, y) / tau,
             rows=y.orthant / tau,
-            cones=tuple(v / tau for v in y.second[: len(program.cones)]),
+            cones=tuple(v / tau for v in user),
         )
         z, multipliers = scales.restore(iterate.x.z / tau, multipliers)
         return ConicSolution(
@@ -257,16 +257,6 @@ def _negated(v):
 
 def _interior_unit(program: StagedProgram) -> ConeVector:
     return cones.identity(kkt.right_side(program))
-
-
-def _into_cone(v: ConeVector) -> ConeVector:
-    """Move every cone's part at least one unit inside its cone; the zero cone's part is kept."""
-
-    def lift(u):
-        norm = jnp.linalg.norm(u[..., 1:], axis=-1)
-        return u.at[..., 0].set(jnp.maximum(u[..., 0], norm + 1.0))
-
-    return ConeVector(v.zero, jnp.maximum(v.orthant, 1.0), tuple(map(lift, v.second)))
 
 
 def _longest_step(point: Iterate, direction: Iterate) -> Scalar:

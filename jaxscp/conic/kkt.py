@@ -50,44 +50,80 @@ def linear_cost(program: StagedProgram) -> Primal:
 def times_constraints(program: StagedProgram, x: Primal) -> ConeVector:
     """A x."""
     link = program.links.apply(x.z)
-    second = [jnp.einsum("kcdn,kn->kcd", cone.matrix, x.z) for cone in program.cones]
-    if program.norm is not None:
-        second.append(-_stack(x.xi, program.norm.scale * x.z))
-    second.append(_stack(-x.zeta, program.links.soft * link))
+    user = [jnp.einsum("kcdn,kn->kcd", cone.matrix, x.z) for cone in program.cones]
+    trust = None if program.norm is None else -program.norm.scale * x.z
+    second = _pack(program, user, -x.xi, trust, -x.zeta, program.links.soft * link)
     rows = jnp.einsum("kln,kn->kl", program.rows.matrix, x.z)
-    return ConeVector((1.0 - program.links.soft) * link, rows, tuple(second))
+    return ConeVector((1.0 - program.links.soft) * link, rows, second)
 
 
 def times_constraints_transpose(program: StagedProgram, y: ConeVector) -> Primal:
     """A' y."""
-    z = program.links.transpose_apply(_link_multiplier(program, y))
+    user, trust, virtual = unpack(program, y.second)
+    z = program.links.transpose_apply(link_multiplier(program, y))
     z += jnp.einsum("kln,kl->kn", program.rows.matrix, y.orthant)
-    for cone, multiplier in zip(program.cones, y.second, strict=False):
+    for cone, multiplier in zip(program.cones, user, strict=True):
         z += jnp.einsum("kcdn,kcd->kn", cone.matrix, multiplier)
-    xi = jnp.zeros((0,), z.dtype)
     if program.norm is not None:
-        trust = y.second[-2]
         z -= program.norm.scale * trust[:, 1:]
-        xi = -trust[:, 0]
-    return Primal(z, xi, -y.second[-1][:, 0])
+    return Primal(z, -trust[:, 0], -virtual[:, 0])
 
 
 def right_side(program: StagedProgram) -> ConeVector:
     """b."""
-    second = [cone.offset for cone in program.cones]
-    if program.norm is not None:
-        second.append(_stack(jnp.zeros_like(program.norm.weight), -program.norm.scale * program.norm.centre))
-    second.append(_stack(jnp.zeros_like(program.links.weight), program.links.soft * program.links.offset))
-    return ConeVector((1.0 - program.links.soft) * program.links.offset, program.rows.offset, tuple(second))
+    norm, links = program.norm, program.links
+    xi = jnp.zeros((0,) if norm is None else norm.weight.shape, program.gradient.dtype)
+    trust = None if norm is None else -norm.scale * norm.centre
+    user = [cone.offset for cone in program.cones]
+    second = _pack(program, user, xi, trust, jnp.zeros_like(links.weight), links.soft * links.offset)
+    return ConeVector((1.0 - links.soft) * links.offset, program.rows.offset, second)
+
+
+def link_multiplier(program: StagedProgram, y: ConeVector) -> Float[Array, "links rows"]:
+    """Multipliers of the links: those of hard rows, and the tails of the virtual controls' cones."""
+    soft = program.links.soft
+    return (1.0 - soft) * y.zero + soft * unpack(program, y.second)[2][:, 1:]
+
+
+def _cone_dimension(program: StagedProgram) -> int:
+    dimensions = [cone.offset.shape[2] for cone in program.cones] + [1 + program.links.soft.shape[1]]
+    return max(dimensions + ([] if program.norm is None else [1 + program.variables]))
+
+
+def _pack(program: StagedProgram, user, xi, trust, zeta, virtual) -> Float[Array, "cones dimension"]:
+    """All second-order cones in one array, padded with zeros: the user's, trust region, virtual control."""
+    groups = [v.reshape(-1, v.shape[-1]) for v in user]
+    groups += [] if trust is None else [_stack(xi, trust)]
+    groups.append(_stack(zeta, virtual))
+    dimension = _cone_dimension(program)
+    return jnp.concatenate([jnp.pad(v, ((0, 0), (0, dimension - v.shape[1]))) for v in groups])
+
+
+def unpack(program: StagedProgram, second: Float[Array, "cones dimension"]):
+    """Groups of second-order cones: (the user's, trust region, virtual control)."""
+    user, at = [], 0
+    for cone in program.cones:
+        nodes, count, dimension = cone.offset.shape
+        user.append(second[at : at + nodes * count, :dimension].reshape(nodes, count, dimension))
+        at += nodes * count
+    end = second.shape[0] - program.links.soft.shape[0]
+    trust = second[at:end, : 1 + program.variables]
+    return user, trust, second[end:, : 1 + program.links.soft.shape[1]]
+
+
+def _unpack_scaling(program: StagedProgram, scaling: SecondOrderScaling):
+    user, trust, virtual = unpack(program, scaling.w)
+    eta, at, user_scalings = scaling.eta, 0, []
+    for w in user:
+        size = w.shape[0] * w.shape[1]
+        user_scalings.append(SecondOrderScaling(eta[at : at + size].reshape(w.shape[:2]), w))
+        at += size
+    end = eta.shape[0] - virtual.shape[0]
+    return user_scalings, SecondOrderScaling(eta[at:end], trust), SecondOrderScaling(eta[end:], virtual)
 
 
 def _stack(head: Float[Array, "chain"], tail: Float[Array, "chain n"]) -> Float[Array, "chain n+1"]:
     return jnp.concatenate([head[:, None], tail], axis=1)
-
-
-def _link_multiplier(program: StagedProgram, y: ConeVector) -> Float[Array, "links rows"]:
-    soft = program.links.soft
-    return (1.0 - soft) * y.zero + soft * y.second[-1][:, 1:]
 
 
 # --- its factorisation ---
@@ -111,7 +147,7 @@ def factorise(program: StagedProgram, scaling: Scaling, regularisation: float) -
     before = half(
         lower, jnp.swapaxes(program.links.before[1:], 1, 2)
     )  # L_k^-1 E_{k+1}', node k in link k + 1
-    compliance = _compliance(program, scaling.second[-1])
+    compliance = _compliance(program, _unpack_scaling(program, scaling.second)[2])
     diagonal = compliance + regularisation * jnp.eye(m, dtype=hessian.dtype)
     diagonal = diagonal.at[:-1].add(jnp.einsum("kni,knj->kij", after, after))
     diagonal = diagonal.at[1:].add(jnp.einsum("kni,knj->kij", before, before))
@@ -125,12 +161,13 @@ def _node_hessian(program: StagedProgram, scaling: Scaling) -> Float[Array, "nod
     hessian = program.hessian + jnp.einsum(
         "kln,kl,klm->knm", program.rows.matrix, weight, program.rows.matrix
     )
-    for cone, w in zip(program.cones, scaling.second, strict=False):
+    user, trust, _ = _unpack_scaling(program, scaling.second)
+    for cone, w in zip(program.cones, user, strict=True):
         inverse = jax.vmap(w.inverse_square, in_axes=-1, out_axes=-1)(cone.matrix)
         hessian += jnp.einsum("kcdn,kcdm->knm", cone.matrix, inverse)
     if program.norm is not None:
         scale = program.norm.scale
-        block = jax.vmap(_tail_inverse, in_axes=(None, 2), out_axes=2)(scaling.second[-2], _diagonal(scale))
+        block = jax.vmap(_tail_inverse, in_axes=(None, 2), out_axes=2)(trust, _diagonal(scale))
         hessian += scale[:, :, None] * block
     return hessian
 
@@ -193,14 +230,16 @@ def solve(
 
 
 def _solve_once(program: StagedProgram, scaling: Scaling, factor: Factor, rx: Primal, ry: ConeVector):
+    soft = program.links.soft
+    user, trust, virtual = _unpack_scaling(program, scaling.second)
+    user_right, trust_right, virtual_right = unpack(program, ry.second)
+
     z_right = rx.z + jnp.einsum("kln,kl->kn", program.rows.matrix, ry.orthant / scaling.orthant**2)
-    for cone, w, r in zip(program.cones, scaling.second, ry.second, strict=False):
+    for cone, w, r in zip(program.cones, user, user_right, strict=True):
         z_right += jnp.einsum("kcdn,kcd->kn", cone.matrix, w.inverse_square(r))
     if program.norm is not None:
-        trust, trust_right = scaling.second[-2], ry.second[-2]
         trust_shift = trust_right[:, 1:] - _tail_head(trust) * rx.xi[:, None]
         z_right -= program.norm.scale * _tail_inverse(trust, trust_shift)
-    soft, virtual, virtual_right = program.links.soft, scaling.second[-1], ry.second[-1]
     link_right = (1.0 - soft) * ry.zero
     link_right += soft * (virtual_right[:, 1:] - _tail_head(virtual) * rx.zeta[:, None])
 
@@ -209,19 +248,20 @@ def _solve_once(program: StagedProgram, scaling: Scaling, factor: Factor, rx: Pr
     z = z - _node_solve(factor, program.links.transpose_apply(link))
 
     rows = (jnp.einsum("kln,kn->kl", program.rows.matrix, z) - ry.orthant) / scaling.orthant**2
-    second = [
+    user_y = [
         w.inverse_square(jnp.einsum("kcdn,kn->kcd", cone.matrix, z) - r)
-        for cone, w, r in zip(program.cones, scaling.second, ry.second, strict=False)
+        for cone, w, r in zip(program.cones, user, user_right, strict=True)
     ]
-    xi = jnp.zeros_like(rx.xi)
+    trust_y = None
     if program.norm is not None:
-        y = _stack(-rx.xi, -_tail_inverse(trust, program.norm.scale * z + trust_shift))
-        xi = -trust_right[:, 0] - trust.square(y)[:, 0]
-        second.append(y)
-    y = _stack(-rx.zeta, soft * link)
-    zeta = -virtual_right[:, 0] - virtual.square(y)[:, 0]
-    second.append(y)
-    return Primal(z, xi, zeta), ConeVector((1.0 - soft) * link, rows, tuple(second))
+        trust_y = -_tail_inverse(trust, program.norm.scale * z + trust_shift)
+    second = _pack(program, user_y, -rx.xi, trust_y, -rx.zeta, soft * link)
+    # The bounds follow from the heads of their cones:  -xi - (W^2 y)_0 = ry_0.
+    _, trust_head, virtual_head = unpack(program, -ry.second - scaling.second.square(second))
+    return (
+        Primal(z, trust_head[:, 0], virtual_head[:, 0]),
+        ConeVector((1.0 - soft) * link, rows, second),
+    )
 
 
 def _node_solve(factor: Factor, right: Float[Array, "nodes variables"]) -> Float[Array, "nodes variables"]:
