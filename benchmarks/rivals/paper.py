@@ -81,7 +81,7 @@ def discretise(problem: LandingArrays, states: Floats, extended: Floats) -> Disc
     return Discretisation(state, now, following, flown - linear, flown, *_effort(extended, problem.substeps))
 
 
-def _plain(array: Floats) -> Floats:
+def _plain(array: np.ndarray) -> Floats:
     """A writable copy in C order: Numba would compile once more for every other kind."""
     return np.array(array, dtype=np.float64, order="C")
 
