@@ -75,11 +75,13 @@ def build_corridor(
 ) -> CorridorResult:
     """Safe flight corridor from start to goal through a point cloud.
 
-    The cloud is thinned, a route searched and shortened, one polytope made about each leg, and polytopes left
-    out whose neighbours overlap about as widely without them. No polytope comes nearer than ``radius`` to a point
-    of the cloud as it was given. Between legs the route keeps ``radius + clearance``, every polytope holds a
-    capsule of radius ``clearance`` about such a leg, and so consecutive ones overlap in a ball of that radius
-    without any repair; legs that end at a tight start or goal can fall short, which the status tells.
+    The cloud is thinned, a route searched and shortened, one polytope made about each leg, and polytopes
+    left out whose neighbours overlap about as widely without them; where the method's planes do not suffice,
+    a polytope is made in a smaller box. No polytope comes nearer than ``radius``
+    to a point of the cloud as it was given. Between legs the route keeps ``radius + clearance``, every
+    polytope holds a capsule of radius ``clearance`` about such a leg, and so consecutive ones overlap in a
+    ball of that radius without any repair; legs that end at a tight start or goal can fall short, which the
+    status tells.
 
     Args:
         cloud: obstacles; an empty one is free space.
@@ -128,10 +130,11 @@ def build_corridor(
             np.empty((0, 2, 3)),
             np.empty(0),
         )
-    seeds, cells = _resolved(method, legs(route.points, longest), cloud, radius, clearance, low, high)
+    seeds = legs(route.points, longest)
+    cells = _resolved(method, seeds, cloud, radius, clearance, low, high)
     kept, balls = _without_redundant(cells.polytope, clearance)
     seeds = seeds[kept]
-    corridor = _packed(jax.tree.map(lambda rows: rows[kept], cells.polytope), seeds, balls[:, :3])
+    corridor = _packed(_chosen(cells.polytope, kept), seeds, balls[:, :3])
     status, message = _verdict(cells.left, balls[:, 3], clearance, corridor.count)
     return CorridorResult(pad(corridor, last, polytopes, faces), route, status, message, seeds, balls[:, 3])
 
@@ -158,24 +161,24 @@ def legs(route: Float[np.ndarray, "vertices 3"], longest: float) -> Segments:
     return np.concatenate(parts)
 
 
-def _resolved(
-    method, segments, cloud, radius, clearance, lower, upper
-) -> tuple[Float[np.ndarray, "finer 2 3"], Cell]:
-    """Cells along segments; those that left points inside are made again from both halves of the segment."""
+def _resolved(method, segments, cloud, radius, clearance, lower, upper) -> Cell:
+    """Cells along segments; those that left points inside are made again in a box of half the reach."""
     cells = cells_along(method, segments, cloud, radius, clearance, lower, upper)
     for _ in range(_HALVINGS):
-        if not np.any(cells.left):
+        again = np.flatnonzero(cells.left)
+        # A box that reaches less than the clearance would cut the balls that the overlaps must hold.
+        if not len(again) or 0.5 * method.reach < clearance:
             break
-        segments = np.concatenate(
-            [_halves(s) if n else s[None] for s, n in zip(segments, cells.left, strict=True)]
-        )
-        cells = cells_along(method, segments, cloud, radius, clearance, lower, upper)
-    return segments, cells
+        method = eqx.tree_at(lambda m: m.reach, method, 0.5 * method.reach)
+        smaller = cells_along(method, segments[again], cloud, radius, clearance, lower, upper)
+        cells = jax.tree.map(lambda old, new, rows=again: _replaced(old, rows, new), cells, smaller)
+    return cells
 
 
-def _halves(segment: Float[np.ndarray, "2 3"]) -> Segments:
-    middle = segment.mean(axis=0)
-    return np.stack([np.stack([segment[0], middle]), np.stack([middle, segment[1]])])
+def _replaced(array: np.ndarray, rows: np.ndarray, new: np.ndarray) -> np.ndarray:
+    array = array.copy()
+    array[rows] = new
+    return array
 
 
 _overlaps = jax.jit(consecutive_overlaps, static_argnames="skip")
@@ -200,12 +203,16 @@ def _without_redundant(
     """Which polytopes to keep, and the overlaps between those."""
     kept = list(range(len(polytopes.offsets)))
     while True:
-        left = jax.tree.map(lambda rows: rows[np.array(kept)], polytopes)
+        left = _chosen(polytopes, kept)
         near, far = _balls(left, 1), _balls(left, 2)
         dropped = _droppable(near[:, 3], far[:, 3], clearance)
         if not dropped:
             return kept, near
-        kept = [k for place, k in enumerate(kept) if place not in dropped]
+        kept = [kept[place] for place in range(len(kept)) if place not in dropped]
+
+
+def _chosen(polytopes: Polytope, kept: list[int]) -> Polytope:
+    return jax.tree.map(lambda rows: rows[np.array(kept)], polytopes)
 
 
 def _droppable(

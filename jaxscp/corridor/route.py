@@ -49,6 +49,14 @@ class NoRoute(eqx.Module):
     """Edge of the finest voxels searched, metres."""
 
 
+class Blocked(eqx.Module):
+    """What a search on one grid found in the way."""
+
+    reason: str
+    proven: bool
+    """Whether finer voxels cannot help either."""
+
+
 class Space(eqx.Module):
     """Where obstacles are, and how near the vehicle may come."""
 
@@ -140,12 +148,12 @@ def find_route(
     edge = cell or _first_edge(space)
     for _ in range(_ATTEMPTS):
         found = _search(space, start, goal, edge)
-        if not isinstance(found, str):
+        if not isinstance(found, Blocked):
             return _measured(_shortened(found, space), space, cloud.spread, edge)
-        if cell or edge <= _FINEST or _cells(space, edge / 2) > _CELLS_AT_MOST:
+        if found.proven or cell or edge <= _FINEST or _cells(space, edge / 2) > _CELLS_AT_MOST:
             break
         edge = edge / 2
-    return NoRoute(found, edge)
+    return NoRoute(found.reason, edge)
 
 
 def _space(cloud, start, goal, radius, clearance, lower, upper, margin) -> Space:
@@ -188,8 +196,8 @@ def _first_edge(space: Space) -> float:
     return max(by_number, min(0.2, max(0.5 * space.radius, _FINEST)))
 
 
-def _search(space: Space, start: Point, goal: Point, edge: float) -> Waypoints | str:
-    """Voxel path between the two ends, or the reason why there is none."""
+def _search(space: Space, start: Point, goal: Point, edge: float) -> Waypoints | Blocked:
+    """Voxel path between the two ends, or why there is none."""
     try:
         from skimage.graph import MCP_Geometric
     except ImportError as error:
@@ -205,10 +213,8 @@ def _search(space: Space, start: Point, goal: Point, edge: float) -> Waypoints |
     ends = [_entrances(point, space, centres, step, free) for point in (start, goal)]
     for name, end in zip(("start", "goal"), ends, strict=True):
         if not len(end):
-            return (
-                f"{name} is hemmed in: no place that keeps {space.roomy:.3g} m from every point can be seen "
-                f"from it (voxels of {edge:.3g} m)"
-            )
+            reason = f"{name} is hemmed in: it sees no place that keeps {space.roomy:.3g} m from every point"
+            return Blocked(f"{reason} (voxels of {edge:.3g} m)", proven=False)
     search = MCP_Geometric(np.where(free, 1.0, -1.0), sampling=tuple(step))
     reached, _ = search.find_costs(
         [tuple(c) for c in ends[0]], [tuple(c) for c in ends[1]], find_all_ends=False
@@ -217,7 +223,8 @@ def _search(space: Space, start: Point, goal: Point, edge: float) -> Waypoints |
     best = int(np.argmin(costs))
     if not np.isfinite(costs[best]):
         squeezed = _connected(distance >= _edge_safe(space.radius, step), ends)
-        return _walled_off(free, ends, float(np.prod(step)), edge, space, squeezed)
+        reason = _walled_off(free, ends, float(np.prod(step)), edge, space, squeezed)
+        return Blocked(reason, proven=_proven(space, start, goal, distance, step))
     path = np.array(search.traceback(tuple(ends[1][best])))
     middle = np.stack([axis[path[:, i]] for i, axis in enumerate(centres)], axis=1)
     return np.concatenate([start[None], middle, goal[None]])
@@ -277,6 +284,14 @@ def _connected(free: np.ndarray, ends: list[np.ndarray]) -> bool:
     regions = _regions(free)
     first, last = (set(np.unique(regions[tuple(end.T)])) - {0} for end in ends)
     return bool(first & last)
+
+
+def _proven(space: Space, start: Point, goal: Point, distance: np.ndarray, step: np.ndarray) -> bool:
+    """Whether no way exists at all: one would only pass voxels that are at most half a diagonal nearer."""
+    ends = np.stack([start, goal])
+    tight = bool(np.any(space.distance(ends) < space.roomy))
+    keep = (space.radius if tight else space.roomy) - 0.5 * float(np.linalg.norm(step))
+    return not _connected(distance >= keep, list(np.rint((ends - space.lower) / step).astype(int)[:, None]))
 
 
 def _walled_off(

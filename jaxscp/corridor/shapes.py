@@ -3,9 +3,9 @@
 import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
+from scipy.optimize import linprog
 from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
-from jaxscp.corridor.overlaps import deepest_ball
 from jaxscp.corridor.polytopes import Polytope
 
 _ROOM = 1e-3
@@ -20,7 +20,7 @@ def _intersection(
     """Qhull's intersection and the rows it was given; None where the polytope has no inside."""
     normals, offsets = np.asarray(polytope.normals, float), np.asarray(polytope.offsets, float)
     used = np.flatnonzero(np.any(normals != 0, axis=1))
-    inside = _inside(polytope, normals[used], offsets[used], hint)
+    inside = _inside(normals[used], offsets[used], hint)
     if inside is None:
         return None
     try:
@@ -31,14 +31,19 @@ def _intersection(
         return None
 
 
-def _inside(polytope: Polytope, normals, offsets, hint: ArrayLike | None) -> Float[np.ndarray, "3"] | None:
-    """A point with some room about it: the hint if it has that, else the deepest."""
+def _inside(normals, offsets, hint: ArrayLike | None) -> Float[np.ndarray, "3"] | None:
+    """A point with some room about it: the hint if it has that, else the deepest.
+
+    The deepest comes from SciPy's linear programming, not from ``overlaps``: on the host, every polytope may
+    have another number of rows, and each would be compiled anew.
+    """
     if hint is not None:
         point = np.asarray(hint, float)
         if np.min(offsets - normals @ point) > _ROOM:
             return point
-    ball = deepest_ball(polytope)
-    return np.asarray(ball.centre, float) if float(ball.radius) > _LEAST else None
+    rows = np.column_stack([normals, np.linalg.norm(normals, axis=1)])
+    found = linprog([0.0, 0.0, 0.0, -1.0], rows, offsets, bounds=[(None, None)] * 4)
+    return found.x[:3] if found.success and found.x[3] > _LEAST else None
 
 
 def vertices(polytope: Polytope) -> Vertices:
@@ -87,4 +92,5 @@ def needed_faces(polytope: Polytope, hint: ArrayLike | None = None) -> Int[np.nd
     if found is None:
         return np.flatnonzero(np.any(np.asarray(polytope.normals) != 0, axis=1))
     intersection, used = found
-    return np.sort(used[np.asarray(intersection.dual_vertices)])
+    # Where more than three faces meet, a facet of the dual is no triangle, and they come as a ragged list.
+    return used[np.unique(np.concatenate([np.asarray(facet) for facet in intersection.dual_facets]))]

@@ -1,0 +1,335 @@
+"""Corridors from point clouds: are they safe, connected, large and quick to make?
+
+Run ``python -m benchmarks.corridors``; ``--json`` prints the same figures for machines, ``--maps`` sets
+how many random maps of the four kinds are flown through, ``--real`` names a folder of clouds and meshes to
+add, and ``--batch`` also times so many maps at once on whatever device JAX finds (meant for a GPU).
+"""
+
+import argparse
+import json
+import os
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, ScalarLike
+from scipy.spatial import KDTree
+
+from jaxscp import maps
+from jaxscp.corridor import (
+    CorridorResult,
+    Decomposition,
+    EllipsoidDecomposition,
+    InflationFIRI,
+    NoRoute,
+    Polytope,
+    build_corridor,
+    chain,
+    read_cloud,
+)
+from jaxscp.corridor.build import legs
+from jaxscp.corridor.cells import cells_along, consecutive_overlaps
+from jaxscp.corridor.decompose import Seed
+from jaxscp.corridor.ellipsoids import Columns, around_segment
+from jaxscp.corridor.halfspaces import Cuts, cut_away
+from jaxscp.corridor.shapes import needed_faces, volume
+
+RADIUS = 0.25
+CLEARANCE = 0.1
+ROUNDING = 1e-9
+
+
+class PublishedShrinking(EllipsoidDecomposition):
+    """The ellipsoid decomposition as published: tangent planes moved by the radius, which can cut the leg."""
+
+    def separate(
+        self,
+        seed: Seed,
+        points: Columns,
+        active: Bool[Array, "points"],
+        radius: ScalarLike,
+        clearance: ScalarLike,
+        walls: Polytope,
+    ) -> Cuts:
+        """See ``Decomposition.separate``."""
+        metric = around_segment(points, active, jnp.maximum(seed.half, 1e-3))
+        return cut_away(
+            points, active, metric, seed.half, radius, clearance, self.planes, lambda tangent, *_: tangent
+        )
+
+
+METHODS: dict[str, Decomposition] = {
+    "ellipsoid": EllipsoidDecomposition(),
+    "capsule": EllipsoidDecomposition(capsule=True),
+    "firi": InflationFIRI(),
+}
+PUBLISHED = PublishedShrinking()
+
+
+def random_maps(count: int) -> Iterator[maps.Map]:
+    kinds = list(maps.KINDS.values())
+    for seed in range(count):
+        yield kinds[seed % len(kinds)](seed // len(kinds))
+
+
+def real_maps(folder: Path, pairs: int = 12) -> Iterator[maps.Map]:
+    """Every cloud and mesh of a folder, with pairs of clear places at flying height, picked by seed."""
+    for path in sorted(folder.glob("*")):
+        if path.suffix.lower() not in (".pcd", ".ply", ".xyz", ".npy", ".stl", ".obj"):
+            continue
+        cloud = read_cloud(path)
+        low, high = cloud.extent
+        tree = KDTree(cloud.points)
+        rng = np.random.default_rng(0)
+        places = rng.uniform(low, np.minimum(high, [np.inf, np.inf, low[2] + 4.0]), size=(2000, 3))
+        clear = places[np.asarray(tree.query(places)[0]) > 0.6]
+        for pair in range(pairs):
+            yield maps.Map(path.name, cloud, low, high, clear[2 * pair], clear[2 * pair + 1])
+
+
+def points_inside(result: CorridorResult, place: maps.Map) -> int:
+    """Points of the cloud as given that lie strictly inside a polytope."""
+    assert result.corridor is not None
+    cells = zip(result.corridor.normals, result.corridor.offsets, strict=True)
+    return sum(int(place.cloud.inside(Polytope(n, b), margin=-ROUNDING).sum()) for n, b in cells)
+
+
+def seeds_outside(result: CorridorResult) -> int:
+    """Polytopes that do not hold the leg they were made about."""
+    assert result.corridor is not None
+    normals, offsets = np.asarray(result.corridor.normals), np.asarray(result.corridor.offsets)
+    gaps = offsets[:, None, :] - np.einsum("kfc,kvc->kvf", normals, result.seeds)
+    return int(np.sum(gaps.min(axis=(1, 2)) < -ROUNDING))
+
+
+def safety(places: list[maps.Map], plans: Callable[[CorridorResult, maps.Map], bool] | None = None) -> dict:
+    """Build a corridor in every map by the default method, and check it against the cloud as given.
+
+    ``plans`` says of a corridor whether a planner flies it with a certificate; given one, the share is added.
+    """
+    found = narrow = unresolved = no_route = crashed = planned = inside = cut = polytopes = 0
+    least, reasons = np.inf, []
+    for place in places:
+        try:
+            result = build_corridor(
+                place.cloud,
+                place.start,
+                place.goal,
+                RADIUS,
+                clearance=CLEARANCE,
+                lower=place.lower,
+                upper=place.upper,
+            )
+        except Exception as error:  # a crash is a result of this benchmark
+            crashed += 1
+            reasons.append(f"{place.name}: {type(error).__name__}: {error}")
+            continue
+        if isinstance(result.route, NoRoute):
+            no_route += 1
+            continue
+        found += result.found
+        narrow += "narrow" in result.message
+        unresolved += "unresolved" in result.message
+        if not result.found:
+            reasons.append(f"{place.name}: {result.message}")
+        inside += points_inside(result, place)
+        cut += seeds_outside(result)
+        polytopes += len(result.seeds)
+        if len(result.overlaps):
+            least = min(least, float(result.overlaps.min()))
+        planned += bool(plans and plans(result, place))
+    solvable = len(places) - no_route
+    report = {
+        "maps": len(places),
+        "no_route": no_route,
+        "solvable": solvable,
+        "solved_share": found / solvable,
+        "narrow": narrow,
+        "unresolved": unresolved,
+        "crashed": crashed,
+        "polytopes": polytopes,
+        "points_inside": inside,
+        "seeds_outside": cut,
+        "min_overlap_m": least,
+        "reasons": reasons,
+    }
+    return report | ({"planned_share": planned / solvable} if plans else {})
+
+
+def sizes(places: list[maps.Map]) -> dict:
+    """Volume and faces of each method on the same legs, beside the published shrinking."""
+    volumes: dict[str, list[float]] = {name: [] for name in ("published", *METHODS)}
+    faces: dict[str, list[int]] = {name: [] for name in volumes}
+    cut = 0
+    for place in places:
+        result = build_corridor(
+            place.cloud,
+            place.start,
+            place.goal,
+            RADIUS,
+            clearance=CLEARANCE,
+            lower=place.lower,
+            upper=place.upper,
+        )
+        if isinstance(result.route, NoRoute):
+            continue
+        segments = legs(result.route.points, 6.0)
+        cloud = place.cloud.thinned(0.1)
+        for name in volumes:
+            method = METHODS.get(name, PUBLISHED)
+            cells = cells_along(method, segments, cloud, RADIUS, CLEARANCE, place.lower, place.upper).polytope
+            normals, offsets = np.asarray(cells.normals), np.asarray(cells.offsets)
+            for n, b, segment in zip(normals, offsets, segments, strict=True):
+                cell = Polytope(jnp.asarray(n), jnp.asarray(b))
+                volumes[name].append(volume(cell))
+                faces[name].append(len(needed_faces(cell, segment.mean(axis=0))))
+                cut += name == "published" and np.min(b - segment @ n.T) < -ROUNDING
+    base = np.array(volumes["published"])
+    usable = base > 0
+    return {
+        "legs": len(base),
+        "published_cuts_its_leg": int(cut),
+        "volume_ratio": {
+            name: float(np.exp(np.mean(np.log(np.array(v)[usable] / base[usable]))))
+            for name, v in volumes.items()
+        },
+        "median_volume_m3": {name: float(np.median(v)) for name, v in volumes.items()},
+        "mean_faces": {name: float(np.mean(f)) for name, f in faces.items()},
+    }
+
+
+def twelve_legs(points: int = 50_000):
+    """A forest of a given number of points, and a route of twelve legs through it."""
+    place = maps.forest(7, spacing=0.1)
+    rng = np.random.default_rng(0)
+    cloud = place.cloud.thinned(0.05)
+    chosen = np.sort(rng.choice(cloud.count, points, replace=False))
+    cloud = type(cloud)(cloud.points[chosen], cloud.spread)
+    result = build_corridor(
+        cloud, place.start, place.goal, RADIUS, lower=place.lower, upper=place.upper, voxel=None
+    )
+    assert not isinstance(result.route, NoRoute)
+    longest = result.route.length
+    while len(segments := legs(result.route.points, longest)) < 12:
+        longest *= 0.98
+    return place, cloud, segments[:12]
+
+
+def milliseconds(repeats: int = 30) -> dict:
+    """Time from 50 000 points and twelve legs to twelve polytopes and their overlaps, warm, medians."""
+    place, cloud, segments = twelve_legs()
+    overlaps = jax.jit(consecutive_overlaps)
+    report = {}
+    for name, method in METHODS.items():
+        cells, whole = [], []
+        for repeat in range(repeats + 3):
+            begin = time.perf_counter()
+            made = cells_along(method, segments, cloud, RADIUS, CLEARANCE, place.lower, place.upper)
+            middle = time.perf_counter()
+            jax.block_until_ready(overlaps(jax.tree.map(jnp.asarray, made.polytope)))
+            if repeat >= 3:
+                cells.append(middle - begin)
+                whole.append(time.perf_counter() - begin)
+        report[name] = {
+            "cells": 1e3 * float(np.median(cells)),
+            "with_overlaps": 1e3 * float(np.median(whole)),
+        }
+    return report
+
+
+def batched(count: int, repeats: int = 5) -> dict:
+    """Time for a chain of eight polytopes in each of many maps at once, on the default device."""
+    places = [maps.pillars(seed) for seed in range(count)]
+    most = max(place.cloud.count for place in places)
+    points = np.zeros((count, most, 3))
+    present = np.zeros((count, most), bool)
+    ways = np.zeros((count, 9, 3))
+    for row, place in enumerate(places):
+        points[row, : place.cloud.count] = place.cloud.points
+        present[row, : place.cloud.count] = True
+        ways[row] = _eight_legs(place)
+    report: dict = {"device": str(jax.devices()[0].device_kind), "maps": count, "points_each": most}
+    arrays = jax.device_put((ways, points, present))
+    for name, method in METHODS.items():
+
+        def one(way, cloud, there, method=method):
+            return chain(method, way, cloud, there, RADIUS, CLEARANCE)
+
+        run = jax.jit(jax.vmap(one))
+        made = jax.block_until_ready(run(*arrays))
+        begin = time.perf_counter()
+        for _ in range(repeats):
+            jax.block_until_ready(run(*arrays))
+        report[name] = {
+            "ms": 1e3 * (time.perf_counter() - begin) / repeats,
+            "unresolved": int(np.sum(np.asarray(made.left) > 0)),
+            "min_overlap_m": float(np.min(np.asarray(made.overlaps))),
+        }
+    return report
+
+
+def _eight_legs(place: maps.Map) -> np.ndarray:
+    """The first eight legs of the route, its longest leg halved until there are as many."""
+    result = build_corridor(
+        place.cloud, place.start, place.goal, RADIUS, lower=place.lower, upper=place.upper
+    )
+    points = list(
+        np.stack([place.start, place.goal]) if isinstance(result.route, NoRoute) else result.route.points
+    )
+    while len(points) < 9:
+        longest = int(np.argmax(np.linalg.norm(np.diff(points, axis=0), axis=1)))
+        points.insert(longest + 1, 0.5 * (points[longest] + points[longest + 1]))
+    return np.array(points[:9])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.add_argument("--maps", type=int, default=500, help="random maps in the check of safety")
+    parser.add_argument("--sized", type=int, default=40, help="random maps in the comparison of volumes")
+    parser.add_argument("--batch", type=int, default=0, help="maps to build corridors in at once")
+    folder = Path(os.environ.get("JAXSCP_MAPS", Path(__file__).parents[2] / "shared" / "maps"))
+    parser.add_argument("--real", type=Path, default=folder, help="folder of real clouds and meshes")
+    options = parser.parse_args()
+    jax.config.update("jax_enable_x64", True)
+    warnings.simplefilter("ignore")
+
+    report = {}
+    if options.maps:
+        report["safety"] = safety(list(random_maps(options.maps)))
+    if options.sized:
+        report["sizes"] = sizes(list(random_maps(options.sized)))
+        report["ms_12_polytopes"] = milliseconds()
+    real = list(real_maps(options.real)) if options.real.is_dir() else []
+    if real:
+        report["real"] = safety(real)
+    if options.batch:
+        report["batched"] = batched(options.batch)
+    if options.json:
+        print(json.dumps(report))
+    else:
+        _show(report)
+
+
+def _show(report: dict, indent: str = "") -> None:
+    for name, value in report.items():
+        if isinstance(value, dict):
+            print(f"{indent}{name}")
+            _show(value, indent + "    ")
+        elif isinstance(value, list):
+            for line in value:
+                print(f"{indent}{name}: {line}")
+        else:
+            print(
+                f"{indent}{name:<24} {value:.4g}"
+                if isinstance(value, float)
+                else f"{indent}{name:<24} {value}"
+            )
+
+
+if __name__ == "__main__":
+    main()
