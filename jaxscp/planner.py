@@ -84,7 +84,7 @@ class Planner(eqx.Module):
         """Problem, first node variables and allocation of a scenario: what the iterations start from."""
         allocation = allocate(scenario.corridor, scenario.start.position, scenario.goal.position, self.nodes)
         problem = landing_problem(scenario, allocation, extended=True)
-        guess = initial_guess(scenario, allocation, self.method.conic)
+        guess = initial_guess(scenario, allocation)
         return problem, problem.join(guess.states, guess.controls, guess.dilation), allocation
 
     def conclude(

@@ -240,9 +240,8 @@ def _residuals(program: StagedProgram, scales: Scales, p: Iterate) -> Residuals:
     gap = jnp.abs(primal_cost - dual_cost) / jnp.maximum(
         scales.cost, jnp.minimum(jnp.abs(primal_cost), jnp.abs(dual_cost))
     )
-    x_size, y_size, s_size = tree_max(p.x), tree_max(p.y), tree_max(p.s)
-    primal_error = tree_max(ry) / jnp.maximum(p.tau, tree_max(b) * p.tau + x_size + s_size)
-    dual_error = tree_max(rx) / jnp.maximum(p.tau, tree_max(q) * p.tau + x_size + y_size)
+    primal_error = tree_max(ry) / (p.tau * jnp.maximum(1.0, tree_max(b)))
+    dual_error = tree_max(rx) / (p.tau * jnp.maximum(1.0, tree_max(q)))
 
     infeasible = tree_max(dual) / jnp.maximum(-offset, 1e-300)
     unbounded = jnp.maximum(tree_max(hessian_x), tree_max(primal)) / jnp.maximum(-linear, 1e-300)
