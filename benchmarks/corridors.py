@@ -29,6 +29,7 @@ from jaxscp.corridor import (
     Polytope,
     build_corridor,
     chain,
+    find_route,
     read_cloud,
 )
 from jaxscp.corridor.build import legs
@@ -274,12 +275,8 @@ def batched(count: int, repeats: int = 5) -> dict:
 
 def _eight_legs(place: maps.Map) -> np.ndarray:
     """The first eight legs of the route, its longest leg halved until there are as many."""
-    result = build_corridor(
-        place.cloud, place.start, place.goal, RADIUS, lower=place.lower, upper=place.upper
-    )
-    points = list(
-        np.stack([place.start, place.goal]) if isinstance(result.route, NoRoute) else result.route.points
-    )
+    route = find_route(place.cloud, place.start, place.goal, RADIUS, lower=place.lower, upper=place.upper)
+    points = list(np.stack([place.start, place.goal]) if isinstance(route, NoRoute) else route.points)
     while len(points) < 9:
         longest = int(np.argmax(np.linalg.norm(np.diff(points, axis=0), axis=1)))
         points.insert(longest + 1, 0.5 * (points[longest] + points[longest + 1]))

@@ -11,6 +11,7 @@ from jaxscp.corridor.decompose import Cell as Cell
 from jaxscp.corridor.decompose import Decomposition as Decomposition
 from jaxscp.corridor.decompose import EllipsoidDecomposition as EllipsoidDecomposition
 from jaxscp.corridor.decompose import InflationFIRI as InflationFIRI
+from jaxscp.corridor.drawing import draw as draw
 from jaxscp.corridor.polytopes import Corridor as Corridor
 from jaxscp.corridor.polytopes import Polytope as Polytope
 from jaxscp.corridor.polytopes import box as box

@@ -10,6 +10,7 @@ from jaxscp.corridor.polytopes import Polytope
 
 _ROOM = 1e-3
 _LEAST = 1e-9
+_ON_FACE = 1e-7
 
 Vertices = Float[np.ndarray, "vertices 3"]
 
@@ -94,3 +95,32 @@ def needed_faces(polytope: Polytope, hint: ArrayLike | None = None) -> Int[np.nd
     intersection, used = found
     # Where more than three faces meet, a facet of the dual is no triangle, and they come as a ragged list.
     return used[np.unique(np.concatenate([np.asarray(facet) for facet in intersection.dual_facets]))]
+
+
+def polygons(polytope: Polytope) -> list[Vertices]:
+    """Faces of a bounded polytope as polygons, their corners in order round each, metres.
+
+    Example:
+        >>> import jaxscp
+        >>> [len(face) for face in polygons(jaxscp.corridor.box([0.0, 0.0, 0.0], [1.0, 2.0, 3.0]))]
+        [4, 4, 4, 4, 4, 4]
+    """
+    corners = vertices(polytope)
+    faces = []
+    for normal, offset in zip(np.asarray(polytope.normals), np.asarray(polytope.offsets), strict=True):
+        if not np.any(normal):
+            continue
+        on_face = corners[np.abs(corners @ normal - offset) < _ON_FACE]
+        if len(on_face) >= 3:
+            faces.append(_in_order(on_face, normal))
+    return faces
+
+
+def _in_order(corners: Vertices, normal: Float[np.ndarray, "3"]) -> Float[np.ndarray, "distinct 3"]:
+    """Corners sorted by angle about their middle, copies left out."""
+    from_middle = corners - corners.mean(axis=0)
+    first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+    angle = np.arctan2(from_middle @ np.cross(normal, first), from_middle @ first)
+    ordered = corners[np.argsort(angle)]
+    distinct = np.linalg.norm(ordered - np.roll(ordered, 1, axis=0), axis=1) > _ON_FACE
+    return ordered[distinct]

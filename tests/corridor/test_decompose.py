@@ -52,7 +52,7 @@ def scene(seed, keep):
 
 
 @pytest.mark.parametrize("name", METHODS)
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=25, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 10**6))
 def test_no_point_is_inside_and_the_capsule_is(name, seed):
     segment, points = scene(seed, RADIUS + CLEARANCE + ROUNDING)

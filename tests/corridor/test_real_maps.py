@@ -21,7 +21,7 @@ def test_a_corridor_through_a_real_map_holds_none_of_its_points(name):
     if not path.is_file():
         pytest.skip(f"no {name}: set JAXSCP_MAPS to the folder of real maps")
     pytest.importorskip("trimesh" if path.suffix == ".stl" else "pypcd4", reason="needs the extra clouds")
-    cloud = read_cloud(path)
+    cloud = read_cloud(path, spacing=0.2)
     low, high = cloud.extent
     rng = np.random.default_rng(0)
     places = rng.uniform(low, np.minimum(high, [np.inf, np.inf, low[2] + 4.0]), size=(500, 3))
