@@ -1,0 +1,6 @@
+"""``python -m jaxscp``."""
+
+from jaxscp.cli import main
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,247 @@
+"""The command line: plan a scenario, print what happened, write the trajectory and a picture.
+
+An application, so it may choose the precision for its process (``main`` switches float64 on) and its exit
+codes: 0 the plan converged, 1 it did not, 2 the request was wrong.
+"""
+
+import functools
+import json
+import math
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+import jax
+import numpy as np
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from jaxscp import scenarios
+from jaxscp.convexify import NormTrustRegion, ProximalTrustRegion
+from jaxscp.landing import LandingScenario
+from jaxscp.planner import Planner, Solution
+from jaxscp.scp import SCP
+from jaxscp.status import Status, status_names
+from jaxscp.validation import InvalidScenario, validate
+
+CASES: dict[str, Callable[[], LandingScenario]] = {
+    "platform": scenarios.platform_to_platform,
+    "ascend": scenarios.ascent_to_platform,
+}
+
+MODES: dict[str, Callable[[int], Planner]] = {
+    "default": lambda nodes: Planner(nodes=nodes),
+    # Table I of the paper
+    "paper": lambda nodes: Planner(nodes=nodes, method=SCP(NormTrustRegion(10.0), virtual_weight=1000.0)),
+    # a light weight takes long steps, many of them
+    "proximal": lambda nodes: Planner(nodes=nodes, method=SCP(ProximalTrustRegion(0.02), max_iterations=200)),
+}
+
+# quantity of the history -> heading, format
+COLUMNS = {
+    "cost": ("cost", ".4f"),
+    "final_time": (r"t_f \[s]", ".3f"),
+    "virtual": ("|nu|", ".1e"),
+    "step": ("|dz|", ".1e"),
+    "defect": ("defect", ".1e"),
+    "conic_iterations": ("conic steps", "d"),
+}
+
+app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_show_locals=False)
+
+
+class Timing(NamedTuple):
+    """Seconds that a plan took."""
+
+    solve: float
+    """A second call, everything compiled: guess, all subproblems and the certificate."""
+    compile: float
+    """What the first call took beyond that."""
+
+
+@app.callback()
+def jaxscp() -> None:
+    """Plan six-degree-of-freedom flights by sequential convex programming."""
+
+
+def _one_of(table: dict[str, Any]) -> str:
+    return f"One of: {', '.join(table)}."
+
+
+def _known(table: dict[str, Any], what: str) -> Callable[[str], str]:
+    def check(name: str) -> str:
+        if name not in table:
+            raise typer.BadParameter(f"no {what} is called {name!r}; choose from {', '.join(table)}")
+        return name
+
+    return check
+
+
+def _writable(path: Path | None) -> Path | None:
+    """Try to write before minutes go into compiling; leaves no file behind."""
+    if path is None:
+        return None
+    new = not path.exists()
+    try:
+        path.open("ab").close()
+    except OSError as error:
+        raise typer.BadParameter(f"cannot write {path}: {error.strerror}") from error
+    if new:
+        path.unlink()
+    return path
+
+
+def _picture(path: Path | None) -> Path | None:
+    if path is not None:
+        from matplotlib.backend_bases import FigureCanvasBase
+
+        kinds = FigureCanvasBase.get_supported_filetypes()
+        if path.suffix.lstrip(".").lower() not in kinds:
+            raise typer.BadParameter(f"{path} is no picture; end its name in .{', .'.join(sorted(kinds))}")
+    return _writable(path)
+
+
+@app.command()
+def plan(
+    case: Annotated[
+        str,
+        typer.Argument(callback=_known(CASES, "case"), metavar="CASE", help=_one_of(CASES)),
+    ],
+    mode: Annotated[
+        str, typer.Option(callback=_known(MODES, "mode"), metavar="NAME", help=_one_of(MODES))
+    ] = "default",
+    nodes: Annotated[int, typer.Option(min=2, help="Nodes N; the flight has N - 1 intervals.")] = 30,
+    save: Annotated[
+        Path | None, typer.Option(callback=_writable, help="Write the trajectory (.npz).", metavar="FILE")
+    ] = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(callback=_picture, help="Write a picture (.png, .pdf).", metavar="FILE"),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of tables.")] = False,
+) -> None:
+    """Plan a flight from a standing start to a landing.
+
+    Exit code: 0 if the plan converged, 1 if it did not, 2 if the request was wrong.
+    """
+    scenario, planner = CASES[case](), MODES[mode](nodes)
+    try:
+        validate(scenario, nodes)
+    except InvalidScenario as error:
+        raise typer.BadParameter(str(error)) from error
+    notes = Console(stderr=True, style="dim")
+    notes.print(f"planning {case}, mode {mode}, {nodes} nodes: compiling first ...")
+    solution, timing = timed(planner, scenario)
+    if as_json:
+        facts = {"case": case, "mode": mode, "nodes": nodes, **report(solution, timing)}
+        typer.echo(json.dumps(facts, allow_nan=False))
+    else:
+        print_report(Console(), f"{case}, mode {mode}, {nodes} nodes", solution, timing)
+    if save is not None:
+        solution.trajectory.save(save)
+    if plot is not None:
+        from jaxscp.plot import summary
+
+        summary(scenario, solution).savefig(plot, dpi=80)
+    raise typer.Exit(0 if converged(solution) else 1)
+
+
+def timed(planner: Planner, scenario: LandingScenario) -> tuple[Solution, Timing]:
+    """Plan twice: the first call compiles, the second one is timed."""
+    first = time.perf_counter()
+    jax.block_until_ready(planner(scenario))
+    second = time.perf_counter()
+    solution = jax.block_until_ready(planner(scenario))
+    solve = time.perf_counter() - second
+    return solution, Timing(solve, max(second - first - solve, 0.0))
+
+
+def converged(solution: Solution) -> bool:
+    """Whether the plan may be flown."""
+    return bool(solution.status == Status.converged)
+
+
+def report(solution: Solution, timing: Timing) -> dict[str, Any]:
+    """What ``--json`` prints: plain numbers in SI units, none of them NaN or infinite (null instead)."""
+    certificate = solution.certificate
+    checks = zip(certificate.names, certificate.at_nodes, certificate.between_nodes, strict=True)
+    return {
+        "status": status_names(solution.status),
+        "iterations": int(solution.iterations),
+        "cost": plain(solution.cost),
+        "final_time": plain(solution.final_time),
+        "solve_seconds": timing.solve,
+        "compile_seconds": timing.compile,
+        "defect": plain(certificate.defect),
+        "violation": plain(certificate.violation),
+        "end_error": {
+            "position": plain(certificate.position_error),
+            "velocity": plain(certificate.velocity_error),
+            "attitude": plain(certificate.attitude_error),
+            "body_rate": plain(certificate.rate_error),
+        },
+        "constraints": {
+            name: {"at_nodes": plain(at), "between_nodes": plain(between)} for name, at, between in checks
+        },
+        "history": history(solution),
+    }
+
+
+def history(solution: Solution) -> list[dict[str, Any]]:
+    """One dict an iteration, with whatever quantities the method records."""
+    columns = {name: np.asarray(values) for name, values in vars(solution.history).items()}
+    return [
+        {"iteration": row + 1, **{name: plain(values[row]) for name, values in columns.items()}}
+        for row in range(int(solution.iterations))
+    ]
+
+
+def plain(value: Any) -> int | float | None:
+    """A number that JSON can hold.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> plain(jnp.array(2)), plain(jnp.array(0.5)), plain(jnp.array(jnp.nan))
+        (2, 0.5, None)
+    """
+    number = np.asarray(value).item()
+    return number if math.isfinite(number) else None
+
+
+def print_report(console: Console, title: str, solution: Solution, timing: Timing) -> None:
+    """The iterations, how they ended, what the certificate found, and how long it took."""
+    count = max(int(solution.iterations), 1)
+    show = functools.partial(console.print, highlight=False, soft_wrap=True)
+    show(iteration_table(title, solution))
+    show(
+        f"status: {status_names(solution.status)}", style="bold green" if converged(solution) else "bold red"
+    )
+    show(Status[solution.status])
+    show(f"cost {float(solution.cost):.6g}, flight time {float(solution.final_time):.4g} s")
+    show("\ncertificate: the controls flown again from the start, without correction", style="bold")
+    show(solution.certificate.report())
+    show("\ntime", style="bold")
+    show(f"{1e3 * timing.solve:.1f} ms a plan once compiled: guess, {count} iterations, certificate")
+    show(f"{1e3 * timing.solve / count:.1f} ms an iteration: the mean of that, since all run as one program")
+    show(f"{timing.compile:.1f} s to compile")
+
+
+def iteration_table(title: str, solution: Solution) -> Table:
+    """One row an iteration."""
+    rows = history(solution)
+    shown = {name: column for name, column in COLUMNS.items() if rows and name in rows[0]}
+    table = Table(title=title, title_justify="left", title_style="bold")
+    for heading in ("iteration", *(heading for heading, _ in shown.values())):
+        table.add_column(heading, justify="right")
+    for row in rows:
+        cells = ("-" if row[name] is None else format(row[name], style) for name, (_, style) in shown.items())
+        table.add_row(str(row["iteration"]), *cells)
+    return table
+
+
+def main() -> None:
+    """Entry point of the program."""
+    jax.config.update("jax_enable_x64", True)
+    app()
