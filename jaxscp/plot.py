@@ -47,7 +47,7 @@ DASHED = {"linestyle": (0, (5, 2)), "linewidth": 1.1}
 LEGEND: dict[str, Any] = {"fontsize": 8, "frameon": False}
 SAMPLES = 24  # drawn points an interval
 
-Array = np.ndarray[Any, Any]
+Array = np.ndarray
 
 
 class Curves(NamedTuple):
@@ -89,7 +89,7 @@ def summary(scenario: LandingScenario, solution: Solution) -> Figure:
         >>> import jaxscp
         >>> from jaxscp import plot
         >>> scenario = jaxscp.scenarios.ascent_to_platform()
-        >>> solution = jaxscp.Planner(nodes=12)(scenario)
+        >>> solution = jaxscp.Planner(nodes=20)(scenario)
         >>> figure = plot.summary(scenario, solution)
         >>> figure.savefig("plan.png")  # doctest: +SKIP
     """

@@ -1,0 +1,178 @@
+"""The command line, run for real on few nodes; one plan is compiled and shared."""
+
+import json
+import math
+import subprocess
+import sys
+
+import equinox as eqx
+import jax
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from jaxscp import Status, Trajectory, cli
+
+NODES = 20
+RUN = ["plan", "ascend", "--nodes", str(NODES)]
+
+
+def invoke(*arguments):
+    return CliRunner(env={"COLUMNS": "120", "NO_COLOR": "1"}).invoke(cli.app, [*map(str, arguments)])
+
+
+@pytest.fixture(scope="module")
+def answer(tmp_path_factory):
+    """One run that writes everything."""
+    folder = tmp_path_factory.mktemp("plan")
+    result = invoke(*RUN, "--json", "--save", folder / "plan.npz", "--plot", folder / "plan.png")
+    return result, folder
+
+
+@pytest.fixture(scope="module")
+def facts(answer):
+    return json.loads(answer[0].stdout)
+
+
+def test_a_converged_plan_exits_zero(answer):
+    result, _ = answer
+    assert result.exit_code == 0, result.output
+    assert result.exception is None or isinstance(result.exception, SystemExit)
+
+
+def test_json_is_one_object_on_one_line(answer):
+    assert answer[0].stdout.count("\n") == 1
+
+
+def test_json_names_what_was_asked_and_what_came_of_it(facts):
+    assert (facts["case"], facts["mode"], facts["nodes"]) == ("ascend", "default", NODES)
+    assert facts["status"] == "converged"
+    assert facts["iterations"] == len(facts["history"]) >= 1
+    assert facts["solve_seconds"] > 0.0
+    assert facts["compile_seconds"] >= 0.0
+    assert 0.0 <= facts["defect"] < 1e-2
+    assert facts["violation"] >= 0.0
+    assert facts["violation"] == max(c["between_nodes"] for c in facts["constraints"].values())
+
+
+def test_json_numbers_are_finite(facts):
+    def numbers(value):
+        if isinstance(value, dict):
+            value = list(value.values())
+        if isinstance(value, list):
+            for item in value:
+                yield from numbers(item)
+        elif not isinstance(value, str):
+            yield value
+
+    values = list(numbers(facts))
+    assert len(values) > 10
+    assert all(isinstance(v, int | float) and math.isfinite(v) for v in values)
+
+
+def test_history_ends_at_the_plan(facts):
+    rows = facts["history"]
+    assert [row["iteration"] for row in rows] == list(range(1, len(rows) + 1))
+    assert set(cli.COLUMNS) <= set(rows[-1])
+    assert rows[-1]["final_time"] == pytest.approx(facts["final_time"], rel=1e-9)
+
+
+def test_saved_trajectory_is_the_plan_in_si_units(answer, facts):
+    with np.load(answer[1] / "plan.npz") as archive:
+        shapes = {name: archive[name].shape for name in archive.files}
+    assert shapes == {"time": (NODES,), "state": (NODES, 13), "control": (NODES, 4), "dilation": (NODES,)}
+    path = Trajectory.load(answer[1] / "plan.npz")
+    scenario = cli.CASES["ascend"]()
+    assert float(path.time[-1]) == pytest.approx(facts["final_time"])
+    np.testing.assert_allclose(path.state[0], scenario.start.vector(), atol=1e-6)
+    np.testing.assert_allclose(path.state[-1, :3], scenario.goal.position, atol=1e-3)
+
+
+def test_picture_is_a_png(answer):
+    assert (answer[1] / "plan.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_table_report_and_times_are_printed(answer, facts):
+    result = invoke(*RUN)
+    assert result.exit_code == 0
+    for text in ("iteration", "cost", "t_f [s]", "|nu|", "|dz|", "defect", "conic steps"):
+        assert text in result.stdout
+    assert f"{facts['history'][0]['cost']:.4f}" in result.stdout
+    for text in ("status: converged", "re-flown end", "corridor", "ms an iteration", "s to compile"):
+        assert text in result.stdout
+
+
+def test_plan_that_did_not_converge_is_printed_and_exits_one(answer, monkeypatch):
+    solution, timing = cli.timed(cli.MODES["default"](NODES), cli.CASES["ascend"]())
+    unfinished = eqx.tree_at(lambda s: s.status, solution, Status.iteration_limit)
+    monkeypatch.setattr(cli, "timed", lambda planner, scenario: (unfinished, timing))
+    table, objects = invoke(*RUN), invoke(*RUN, "--json")
+    assert (table.exit_code, objects.exit_code) == (1, 1)
+    assert "status: iteration_limit" in table.stdout
+    assert "Allow more iterations" in table.stdout
+    assert json.loads(objects.stdout)["status"] == "iteration_limit"
+
+
+def test_numbers_that_json_cannot_hold_become_null():
+    assert [cli.plain(v) for v in (np.float64(np.nan), jax.numpy.inf, np.int64(3))] == [None, None, 3]
+
+
+@pytest.fixture
+def never_compiles(monkeypatch):
+    def refuse(planner, scenario):
+        raise AssertionError("a bad request got as far as planning")
+
+    monkeypatch.setattr(cli, "timed", refuse)
+
+
+@pytest.mark.usefixtures("never_compiles")
+@pytest.mark.parametrize(
+    ("arguments", "explanation"),
+    [
+        (["plan"], "Missing argument 'CASE'"),
+        (["plan", "sideways"], "no case is called 'sideways'; choose from platform, ascend"),
+        (["plan", "ascend", "--mode", "magic"], "no mode is called 'magic'"),
+        (["plan", "ascend", "--nodes", "1"], "greater than or equal to 2"),
+        (["plan", "ascend", "--nodes", "many"], "'--nodes'"),
+        (["plan", "platform", "--nodes", "4"], "5 polytopes need at least 6 nodes"),
+        (["plan", "ascend", "--save", "no/such/folder/plan.npz"], "No such file or directory"),
+        (["plan", "ascend", "--save", "."], "cannot write ."),
+        (["plan", "ascend", "--plot", "no/such/folder/plan.png"], "No such file or directory"),
+        (["plan", "ascend", "--plot", "plan.docx"], "plan.docx is no picture"),
+        (["plan", "ascend", "--hurry"], "--hurry"),
+    ],
+)
+def test_bad_request_exits_two_and_says_why(arguments, explanation):
+    result = invoke(*arguments)
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    assert explanation in " ".join(result.stderr.replace("│", " ").split())
+
+
+@pytest.mark.usefixtures("never_compiles")
+def test_checking_a_file_leaves_none_behind_and_harms_none(tmp_path):
+    kept = tmp_path / "kept.npz"
+    kept.write_bytes(b"precious")
+    for name in ("fresh.npz", "kept.npz"):
+        invoke("plan", "platform", "--nodes", "4", "--save", tmp_path / name)
+    assert [file.name for file in tmp_path.iterdir()] == ["kept.npz"]
+    assert kept.read_bytes() == b"precious"
+
+
+def test_runs_as_a_module():
+    command = [sys.executable, "-m", "jaxscp", "plan", "--help"]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+    for option in ("--mode", "--nodes", "--save", "--plot", "--json"):
+        assert option in result.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mode", list(cli.MODES))
+@pytest.mark.parametrize("case", list(cli.CASES))
+def test_every_mode_plans_every_case(case, mode):
+    result = invoke("plan", case, "--mode", mode, "--json")
+    facts = json.loads(result.stdout)
+    assert facts["status"] in ("converged", "iteration_limit")
+    assert facts["constraints"]["thrust"]["between_nodes"] < 1e-6
+    assert facts["end_error"]["position"] < 0.01

@@ -1,0 +1,158 @@
+"""Pictures: what is drawn, and that it is what was planned."""
+
+import subprocess
+import sys
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d import Axes3D
+
+import jaxscp
+from jaxscp import plot
+
+NODES = 20
+
+
+@pytest.fixture(scope="module")
+def scenario():
+    return jaxscp.scenarios.ascent_to_platform()
+
+
+@pytest.fixture(scope="module")
+def solution(scenario):
+    return jaxscp.Planner(nodes=NODES)(scenario)
+
+
+@pytest.fixture(scope="module")
+def figure(scenario, solution):
+    return plot.summary(scenario, solution)
+
+
+@pytest.fixture(scope="module")
+def panels(figure):
+    """Flat axes by their label."""
+    return {ax.get_ylabel(): ax for ax in figure.axes if not isinstance(ax, Axes3D)}
+
+
+@pytest.fixture(scope="module")
+def scene(figure):
+    return next(ax for ax in figure.axes if isinstance(ax, Axes3D))
+
+
+def labelled(ax):
+    return {line.get_label(): line for line in ax.lines}
+
+
+def test_every_panel_is_labelled_with_its_unit(panels, scene):
+    assert list(panels) == [
+        "cost",
+        "flight time [s]",
+        "largest norm (SI)",
+        "speed [m/s]",
+        "tilt [deg]",
+        "body rate [deg/s]",
+        "thrust [N]",
+        "clearance [m]",
+    ]
+    assert panels["clearance [m]"].get_xlabel() == "time [s]"
+    assert panels["cost"].get_xlabel() == "iteration"
+    assert [scene.get_xlabel(), scene.get_ylabel(), scene.get_zlabel()] == ["x [m]", "y [m]", "z [m]"]
+
+
+def test_title_says_how_it_ended(figure, solution):
+    title = figure.get_suptitle()
+    assert title.startswith("converged after")
+    assert f"{float(solution.final_time):.2f} s" in title
+
+
+def test_thrust_limits_are_drawn_and_in_view(panels, scenario):
+    ax = panels["thrust [N]"]
+    least, most = float(scenario.airframe.thrust_min[0]), float(scenario.airframe.thrust_max[0])
+    red = [line for line in ax.lines if to_rgb(line.get_color()) == to_rgb(plot.VERMILLION)]
+    levels = sorted(line.get_ydata()[0] for line in red)
+    assert levels == [least, most]
+    bottom, top = ax.get_ylim()
+    assert bottom < least < most < top
+
+
+def test_clearance_shows_its_limits(panels, scenario):
+    lines = labelled(panels["clearance [m]"])
+    assert set(lines["corridor limit"].get_ydata()) == {0.0}
+    assert set(lines["vehicle radius"].get_ydata()) == {float(scenario.airframe.radius)}
+
+
+def test_nodes_are_marked_on_the_flown_line(panels, solution):
+    lines = labelled(panels["speed [m/s]"])
+    time, speed = lines["nodes"].get_data()
+    np.testing.assert_allclose(time, solution.trajectory.time)
+    flown = np.interp(time, *lines["flown"].get_data())
+    np.testing.assert_allclose(flown, speed, atol=0.01)
+    assert len(lines["flown"].get_xdata()) == (NODES - 1) * plot.SAMPLES
+
+
+def test_convergence_has_one_point_an_iteration(panels, solution):
+    count = int(solution.iterations)
+    assert panels["largest norm (SI)"].get_yscale() == "log"
+    for label in ("cost", "flight time [s]", "largest norm (SI)"):
+        for line in panels[label].lines:
+            np.testing.assert_array_equal(line.get_xdata(), np.arange(1, count + 1))
+
+
+def test_scene_shows_all_there_is_to_one_scale(scene, scenario):
+    names = {
+        "flown path", "nodes", "corridor", "obstacle points", "landing cone", "start", "goal",
+        "body x", "body y", "body z",
+    }  # fmt: skip
+    assert names <= set(scene.get_legend_handles_labels()[1])
+    ranges = np.ptp([scene.get_xlim(), scene.get_ylim(), scene.get_zlim()], axis=1)
+    # box_aspect and data ranges in one ratio on all axes: a metre is a metre whichever way it points
+    ratio = np.asarray(scene._box_aspect) / ranges
+    np.testing.assert_allclose(ratio, ratio[0], rtol=1e-6)
+
+
+def test_margin_agrees_with_the_certificate(scenario, solution):
+    margin = plot.corridor_margin(scenario.corridor, plot.flown(scenario, solution, samples=200))
+    outside = max(-float(margin.min()), 0.0)
+    at = solution.certificate.names.index("corridor")
+    assert outside == pytest.approx(float(solution.certificate.between_nodes[at]), abs=1e-6)
+
+
+def test_margin_ignores_padding():
+    small, large = (jaxscp.corridor.box([0.0] * 3, [size] * 3) for size in (9.0, 9.5))
+    more_faces = eqx.tree_at(
+        lambda p: (p.normals, p.offsets), large, (jnp.tile(large.normals, (2, 1)), jnp.tile(large.offsets, 2))
+    )
+    corridor = jaxscp.corridor.connect([small, more_faces], joints=[[1.0, 1.0, 1.0]])
+    curves = plot.Curves(np.zeros(1), np.full((1, 13), 4.5), np.zeros((1, 4)), np.zeros(1, int))
+    assert plot.corridor_margin(corridor, curves).tolist() == [4.5]
+
+
+def test_summary_renders(figure, tmp_path):
+    assert isinstance(figure, Figure)
+    for name in ("plan.png", "plan.pdf"):
+        figure.savefig(tmp_path / name)
+        assert (tmp_path / name).stat().st_size > 10_000
+
+
+def test_drawing_needs_no_obstacles(scenario, solution):
+    bare = eqx.tree_at(lambda s: s.obstacles, scenario, None)
+    ax = Figure().add_subplot()
+    curves = plot.planned(solution)
+    plot.draw_clearance(ax, bare, curves, curves)
+    assert set(labelled(ax)) & {"to obstacle point", "vehicle radius"} == set()
+
+
+def test_plotting_leaves_pyplot_alone():
+    code = "import sys, jaxscp.plot; assert 'matplotlib.pyplot' not in sys.modules"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+
+
+def test_importing_the_package_does_not_import_matplotlib():
+    code = "import sys, jaxscp; assert 'matplotlib' not in sys.modules"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
