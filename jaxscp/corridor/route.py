@@ -67,20 +67,29 @@ class Space(eqx.Module):
     radius: float
     roomy: float
 
-    def distance(self, points: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "..."]:
-        """Distance from each point to the nearest obstacle point, metres; inf where there is none."""
+    def to_points(self, places: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch"]:
+        """Distance from each place to the nearest obstacle point, metres; inf where there is none."""
         if self.tree is None:
-            return np.full(points.shape[:-1], np.inf)
-        return np.asarray(self.tree.query(points)[0])
+            return np.full(places.shape[:-1], np.inf)
+        return np.asarray(self.tree.query(places)[0])
+
+    def to_limits(self, places: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch"]:
+        """Distance to the limits as if they were points: their clearance is kept, their radius is in them."""
+        return self.radius + np.minimum(places - self.lower, self.upper - places).min(axis=-1)
+
+    def distance(self, places: Float[np.ndarray, "*batch 3"]) -> Float[np.ndarray, "*batch"]:
+        """Distance from each place to the nearest of points and limits, metres."""
+        return np.minimum(self.to_points(places), self.to_limits(places))
 
     def along(self, start: Point, end: Point) -> float:
-        """Distance from a segment to the nearest obstacle point, capped at the roomy distance, metres."""
+        """Distance from a segment to points and limits, capped at the roomy distance, metres."""
         low, high = np.minimum(start, end) - self.roomy, np.maximum(start, end) + self.roomy
         near = np.flatnonzero((self.points[:, 0] >= low[0]) & (self.points[:, 0] <= high[0]))
         for axis in (1, 2):
             column = self.points[near, axis]
             near = near[(column >= low[axis]) & (column <= high[axis])]
-        return min(self.roomy, segment_distance(self.points[near], start, end))
+        limits = float(self.to_limits(np.stack([start, end])).min())
+        return min(self.roomy, limits, segment_distance(self.points[near], start, end))
 
 
 def segment_distance(points: Float[np.ndarray, "points 3"], start: Point, end: Point) -> float:
@@ -177,7 +186,7 @@ def _check_end(name: str, point: Point, space: Space, spread: float) -> None:
     place = f"{name} ({point[0]:g}, {point[1]:g}, {point[2]:g})"
     if np.any(point < space.lower) or np.any(point > space.upper):
         raise ValueError(f"{place} is outside the limits {space.lower} to {space.upper}")
-    distance = float(space.distance(point))
+    distance = float(space.to_points(point[None])[0])
     if distance < space.radius:
         grown = f" (of which {spread:.3f} m for the thinning of the cloud)" if spread else ""
         raise ValueError(
@@ -208,7 +217,8 @@ def _search(space: Space, start: Point, goal: Point, edge: float) -> Waypoints |
         np.linspace(low, high, n) for low, high, n in zip(space.lower, space.upper, shape, strict=True)
     ]
     step = np.array([axis[1] - axis[0] if axis.size > 1 else edge for axis in centres])
-    distance = _grid_distance(space, centres, step)
+    limits = space.to_limits(np.stack(np.meshgrid(*centres, indexing="ij"), axis=-1))
+    distance = np.minimum(_grid_distance(space, centres, step), limits)
     free = distance >= _edge_safe(space.roomy, step)
     ends = [_entrances(point, space, centres, step, free) for point in (start, goal)]
     for name, end in zip(("start", "goal"), ends, strict=True):
@@ -254,14 +264,15 @@ def _grid_distance(space: Space, centres: list[np.ndarray], step: np.ndarray) ->
     doubtful = np.argwhere((away > space.radius - half) & (away < _edge_safe(space.roomy, step) + half))
     exact = np.stack([axis[doubtful[:, i]] for i, axis in enumerate(centres)], axis=1)
     distance = np.where(away <= space.radius - half, 0.0, away)
-    distance[tuple(doubtful.T)] = space.distance(exact)
+    distance[tuple(doubtful.T)] = space.to_points(exact)
     return distance
 
 
 def _entrances(
     point: Point, space: Space, centres: list[np.ndarray], step: np.ndarray, free: Bool[np.ndarray, "x y z"]
 ) -> np.ndarray:
-    """Free voxels near a point that a straight flight reaches with the radius kept."""
+    """Free voxels that a straight flight from a point reaches, with the clearance if the point has it."""
+    keep = space.roomy if float(space.distance(point[None])[0]) >= space.roomy else space.radius
     shape = np.array(free.shape)
     nearest = np.rint((point - space.lower) / step).astype(int)
     for reach in (1, 2, 4):
@@ -269,10 +280,9 @@ def _entrances(
         block = np.argwhere(free[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]) + low
         places = np.stack([axis[block[:, i]] for i, axis in enumerate(centres)], axis=1)
         order = np.argsort(np.linalg.norm(places - point, axis=1))[:64]
-        room = np.array([space.along(point, places[i]) for i in order])
-        for keep in (space.roomy, space.radius):
-            if np.any(room >= keep):
-                return block[order[room >= keep]]
+        seen = [i for i in order if space.along(point, places[i]) >= keep]
+        if seen:
+            return block[seen]
     return np.empty((0, 3), int)
 
 

@@ -100,6 +100,16 @@ def test_the_spread_of_a_thinned_cloud_is_kept_too():
         assert segment_distance(cloud.points, a, b) >= 0.35 - 1e-9
 
 
+def test_a_way_under_a_lowered_ceiling_keeps_the_clearance_to_the_limits_too():
+    # Polytopes end at the limits, so a way along them would leave overlaps without room.
+    cloud = wall()
+    low = PointCloud(cloud.points[cloud.points[:, 2] < 2.0])
+    found = route(low)
+    assert isinstance(found, Route)
+    assert np.all(found.points <= UPPER - 0.1 + 1e-9)
+    assert np.all(found.points >= LOWER + 0.1 - 1e-9)
+
+
 def test_a_hemmed_in_start_is_told():
     sphere = np.random.default_rng(0).normal(size=(4000, 3))
     sphere = START + 0.3 * sphere / np.linalg.norm(sphere, axis=1)[:, None]
