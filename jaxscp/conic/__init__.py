@@ -1,5 +1,6 @@
 """Solvers for the convex subproblem: our structured interior point, and OSQP on its quadratic form."""
 
+from jaxscp.conic.osqp import OSQP as OSQP
 from jaxscp.conic.program import Cones as Cones
 from jaxscp.conic.program import ConicSolution as ConicSolution
 from jaxscp.conic.program import Links as Links
@@ -7,3 +8,5 @@ from jaxscp.conic.program import Multipliers as Multipliers
 from jaxscp.conic.program import NormCost as NormCost
 from jaxscp.conic.program import Rows as Rows
 from jaxscp.conic.program import StagedProgram as StagedProgram
+from jaxscp.conic.sparse import SparseProgram as SparseProgram
+from jaxscp.conic.sparse import export as export

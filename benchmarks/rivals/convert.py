@@ -1,0 +1,162 @@
+"""One landing problem for both sides: jaxscp's from the rivals' arrays, and the arrays from a scenario.
+
+Both directions keep every number, so that the two stacks may be compared digit by digit.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy.integrate import simpson
+
+from benchmarks.rivals.problem import Flags, Floats, LandingArrays, extended_controls
+from jaxscp.constraints import (
+    Constraint,
+    HalfSpaces,
+    LandingCone,
+    Limits,
+    NonNegative,
+    SecondOrder,
+    inside_half_spaces,
+    inside_landing_cone,
+    repeat_over_nodes,
+    within_control_limits,
+)
+from jaxscp.convexify import NormTrustRegion
+from jaxscp.dynamics import RigidBody
+from jaxscp.initial_guess import initial_guess
+from jaxscp.landing import LandingScenario, Weights, allocate, effort, flight_time, landing_problem
+from jaxscp.problem import Boundary, FixedComponents, OptimalControlProblem, fixed_components
+from jaxscp.scp import SCP
+
+
+def as_problem(arrays: LandingArrays) -> tuple[OptimalControlProblem, Float[Array, "nodes variables"]]:
+    """The rivals' problem as an extended optimal control problem, and its guess as node variables.
+
+    Elapsed effort and time are states, as in the published stack, since its trust region counts them.
+    """
+    problem = OptimalControlProblem(
+        dynamics=RigidBody(
+            mass=jnp.asarray(arrays.mass, float),
+            inertia=jnp.asarray(arrays.inertia),
+            thrust_map=jnp.asarray(arrays.thrust_map),
+            torque_map=jnp.asarray(arrays.torque_map),
+            gravity=jnp.array([0.0, 0.0, -arrays.gravity]),
+        ),
+        running_cost=effort,
+        terminal_cost=flight_time,
+        weights=Weights(jnp.asarray(arrays.weight_control, float), jnp.asarray(arrays.weight_time, float)),
+        constraints=_constraints(arrays),
+        initial=_whole_state(arrays.start),
+        final=_whole_state(arrays.goal),
+        dilation_min=jnp.asarray(arrays.dilation_min, float),
+        dilation_max=jnp.asarray(arrays.dilation_max, float),
+        nodes=arrays.nodes,
+        extended=True,
+    )
+    return problem, jnp.asarray(_node_variables(arrays))
+
+
+def as_method(arrays: LandingArrays) -> SCP:
+    """Algorithm 1 with the settings that the arrays hold."""
+    return SCP(
+        trust_region=NormTrustRegion(arrays.weight_trust),
+        virtual_weight=arrays.weight_virtual,
+        tolerance_virtual=arrays.tolerance_virtual,
+        tolerance_step=arrays.tolerance_trust,
+        max_iterations=arrays.max_iterations,
+        substeps=arrays.substeps,
+    )
+
+
+def as_arrays(scenario: LandingScenario, nodes: int, method: SCP | None = None) -> LandingArrays:
+    """A scenario and its initial guess as the rivals' arrays; by default with the paper's settings."""
+    method = SCP() if method is None else method
+    assert isinstance(method.trust_region, NormTrustRegion), "the published stack knows no other trust region"
+    problem, guess = _problem_and_guess(scenario, nodes)
+    body, frame = scenario.airframe.body, scenario.airframe
+    by_name = {constraint.name: constraint for constraint in problem.constraints}
+    corridor, cone = by_name["corridor"], by_name["landing cone"]
+    return LandingArrays(
+        mass=float(body.mass),
+        inertia=np.asarray(body.inertia),
+        thrust_map=np.asarray(body.thrust_map),
+        torque_map=np.asarray(body.torque_map),
+        gravity=-float(body.gravity[2]),
+        normals=np.asarray(corridor.parameters.normals),
+        offsets=np.asarray(corridor.parameters.offsets),
+        cone_active=np.asarray(cone.active),
+        cone_apex=np.asarray(cone.parameters.apex[-1]),
+        cone_cotangent=float(cone.parameters.cotangent[-1]),
+        thrust_min=np.asarray(frame.thrust_min),
+        thrust_max=np.asarray(frame.thrust_max),
+        dilation_min=float(scenario.dilation_min),
+        dilation_max=float(scenario.dilation_max),
+        start=np.asarray(problem.initial.parameters.value),
+        goal=np.asarray(problem.final.parameters.value),
+        weight_control=float(scenario.weights.control),
+        weight_time=float(scenario.weights.time),
+        weight_virtual=method.virtual_weight,
+        weight_trust=method.trust_region.weight,
+        tolerance_virtual=method.tolerance_virtual,
+        tolerance_trust=method.tolerance_step,
+        max_iterations=method.max_iterations,
+        substeps=method.substeps,
+        states=np.asarray(guess.states),
+        controls=np.asarray(guess.controls),
+        dilation=np.asarray(guess.dilation),
+    )
+
+
+def _problem_and_guess(scenario: LandingScenario, nodes: int):
+    allocation = allocate(scenario.corridor, scenario.start.position, scenario.goal.position, nodes)
+    guess = jax.jit(initial_guess)(scenario, allocation)
+    return landing_problem(scenario, allocation, extended=True), guess
+
+
+def _constraints(arrays: LandingArrays) -> tuple[Constraint, ...]:
+    nodes = arrays.nodes
+    everywhere = jnp.ones(nodes, bool)
+    faces = HalfSpaces(jnp.asarray(arrays.normals), jnp.asarray(arrays.offsets))
+    limits = Limits(jnp.asarray(arrays.thrust_min), jnp.asarray(arrays.thrust_max))
+    cone = LandingCone(jnp.asarray(arrays.cone_apex), jnp.asarray(arrays.cone_cotangent, float))
+    return (
+        Constraint(inside_half_spaces, faces, NonNegative(), everywhere, "corridor"),
+        Constraint(
+            within_control_limits, repeat_over_nodes(limits, nodes), NonNegative(), everywhere, "thrust"
+        ),
+        Constraint(
+            inside_landing_cone,
+            repeat_over_nodes(cone, nodes),
+            SecondOrder(),
+            jnp.asarray(_meaningful_cones(arrays)),
+            "landing cone",
+        ),
+    )
+
+
+def _meaningful_cones(arrays: LandingArrays) -> Flags:
+    """The arrays' flags, less the last node where the goal already puts it on the apex.
+
+    There the cone says nothing that the boundary does not, so the optimum is the same; but stated beside the
+    boundary it leaves the feasible set without interior, and a multiplier that may grow without bound.
+    """
+    active = arrays.cone_active.copy()
+    active[-1] &= not np.array_equal(arrays.goal[:3], arrays.cone_apex)
+    return active
+
+
+def _whole_state(value: Floats) -> Boundary:
+    return Boundary(fixed_components, FixedComponents(jnp.asarray(value), jnp.ones(len(value))))
+
+
+def _node_variables(arrays: LandingArrays) -> Floats:
+    """Rows (x, phi, t, u, s); phi by the steps of the discretisation, which integrate by Simpson's rule."""
+    held = extended_controls(arrays)
+    share = np.linspace(0.0, 1.0, 2 * arrays.substeps + 1)[:, None]
+    along = (1.0 - share) * held[:-1, None] + share * held[1:, None]
+    rate = arrays.weight_control * np.linalg.norm(along[..., :-1], axis=-1) * along[..., -1]
+    rates = np.stack([rate, along[..., -1]], axis=-1)
+    spent = simpson(rates, dx=arrays.interval / (len(share) - 1), axis=1)
+    elapsed = np.concatenate([np.zeros((1, 2)), np.cumsum(spent, axis=0)])
+    return np.column_stack([arrays.states, elapsed, held])
