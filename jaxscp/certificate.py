@@ -120,7 +120,7 @@ def fly(problem: OptimalControlProblem, trajectory: Trajectory, samples: int) ->
             max_steps=MAX_STEPS,
             throw=False,
         )
-        states = solution.ys
+        states = jnp.asarray(solution.ys)
         return states[-1], states
 
     ends = jax.tree.map(lambda v: (v[:-1], v[1:]), (trajectory.control, trajectory.dilation))

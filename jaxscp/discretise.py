@@ -21,13 +21,13 @@ class Discretisation(eqx.Module):
     w_i = (z_i, u_{i+1}) are an interval's variables, the dilation counted as a control.
     """
 
-    state: Float[Array, "intervals states"]
+    state: Float[Array, "*intervals states"]
     """States at the end of each interval when integrated from its first node."""
-    cost: Float[Array, "intervals"]
+    cost: Float[Array, "*intervals"]
     """Running cost of each interval."""
-    state_jacobian: Float[Array, "intervals states inputs"]
+    state_jacobian: Float[Array, "*intervals states inputs"]
     """[A, B-, B+]."""
-    cost_jacobian: Float[Array, "intervals inputs"]
+    cost_jacobian: Float[Array, "*intervals inputs"]
 
 
 def interval_inputs(problem: OptimalControlProblem, z: Float[Array, "nodes variables"]):

@@ -105,8 +105,8 @@ def route_positions(
     """Positions of the nodes on the polyline start, joints, goal; the nodes of a polytope evenly spaced on it."""
     route = jnp.concatenate([start[None], corridor.joints, goal[None]])
     intervals = jnp.arange(allocation.shape[0])
-    first = jnp.searchsorted(allocation, allocation, side="left")
-    last = jnp.searchsorted(allocation, allocation, side="right")
+    first = jnp.searchsorted(allocation, allocation, side="left").astype(int)
+    last = jnp.searchsorted(allocation, allocation, side="right").astype(int)
     share = (intervals - first) / (last - first)
     points = route[allocation] + share[:, None] * (route[allocation + 1] - route[allocation])
     return jnp.concatenate([points, goal[None]])

@@ -5,6 +5,7 @@ import functools
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from jaxscp.certificate import Certificate, acceptable, certify
@@ -50,7 +51,7 @@ class Planner(eqx.Module):
 
     Example:
         >>> import jaxscp
-        >>> planner = jaxscp.Planner(nodes=12)
+        >>> planner = jaxscp.Planner(nodes=20)
         >>> solution = planner(jaxscp.scenarios.ascent_to_platform())
         >>> jaxscp.status_names(solution.status)
         'converged'
@@ -76,7 +77,7 @@ class Planner(eqx.Module):
         return _replan(self, scenario, solution.z, solution.allocation)
 
     def _check(self, scenario: LandingScenario) -> None:
-        if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(scenario)):
+        if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(scenario)):
             return
         validate(scenario, self.nodes)
 

@@ -6,8 +6,8 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool
 
-
-StatusCode = Any  # a member of Status, or a batch of them; equinox gives its type no public name
+# A member of Status, or a batch of them; equinox gives its type no public name.
+StatusCode = Any
 
 
 class Status(eqx.Enumeration):
@@ -47,7 +47,7 @@ class Status(eqx.Enumeration):
     refuted = "The solver met its tolerances, but the independent certificate disagrees: see its report for which check failed."
     invalid_input = (
         "The scenario is not valid: a value is not finite, or start, goal, corridor or limits contradict each other. "
-        "Call scenario.check() outside jit and vmap for the field and the cause."
+        "Call jaxscp.validate(scenario, nodes) outside jit and vmap for the field and the cause."
     )
 
 

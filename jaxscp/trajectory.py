@@ -57,7 +57,7 @@ class Trajectory(eqx.Module):
         """Write an .npz with ``time``, ``state``, ``control`` and ``dilation``, in SI units."""
         arrays = {name: np.asarray(getattr(self, name)) for name in ("time", "state", "control", "dilation")}
         with open(file, "wb") as stream:
-            np.savez(stream, **arrays)
+            np.savez(stream, allow_pickle=False, **arrays)
 
     @staticmethod
     def load(file: str | os.PathLike) -> Trajectory:

@@ -26,7 +26,8 @@ class ConeVector(eqx.Module):
 
 def tree_dot(a, b) -> Scalar:
     """Inner product of two like pytrees."""
-    return sum(jnp.vdot(x, y) for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True))
+    pairs = zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)
+    return jnp.sum(jnp.stack([jnp.vdot(x, y) for x, y in pairs]))
 
 
 def tree_axpy(a, x, y):
@@ -132,7 +133,9 @@ class Scaling(eqx.Module):
 
     def apply_inverse(self, v: ConeVector) -> ConeVector:
         """W^-1 v."""
-        return ConeVector(jnp.zeros_like(v.zero), v.orthant / self.orthant, self.second.apply_inverse(v.second))
+        return ConeVector(
+            jnp.zeros_like(v.zero), v.orthant / self.orthant, self.second.apply_inverse(v.second)
+        )
 
     def square(self, v: ConeVector) -> ConeVector:
         """W^2 v."""

@@ -19,7 +19,7 @@ class Scales(eqx.Module):
     """What a program was multiplied by, so that its answer can be taken back."""
 
     columns: Float[Array, "nodes variables"]
-    links: Float[Array, "links rows"]
+    links: Float[Array, "links link_rows"]
     rows: Float[Array, "nodes rows"]
     cones: tuple[Float[Array, "nodes cones"], ...]
     cost: Scalar

@@ -75,7 +75,7 @@ class InteriorPoint(eqx.Module):
     tolerance: float = eqx.field(default=1e-8, static=True)
     loose_tolerance: float = eqx.field(default=1e-5, static=True)
     max_iterations: int = eqx.field(default=50, static=True)
-    regularisation: float = eqx.field(default=1e-9, static=True)
+    regularisation: float = eqx.field(default=1e-11, static=True)
     refinements: int = eqx.field(default=1, static=True)
     equilibration: int = eqx.field(default=3, static=True)
 

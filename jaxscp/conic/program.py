@@ -114,7 +114,7 @@ class StagedProgram(eqx.Module):
 class Multipliers(eqx.Module):
     """Lagrange multipliers of a program, one for every constraint row, signed as in CLARABEL's convention."""
 
-    links: Float[Array, "links rows"]
+    links: Float[Array, "links link_rows"]
     rows: Float[Array, "nodes rows"]
     cones: tuple[Float[Array, "nodes cones dimension"], ...]
 
