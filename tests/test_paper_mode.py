@@ -1,4 +1,4 @@
-"""Paper mode against the published stack written anew: CVXPY, CLARABEL and Numba, subproblem by subproblem."""
+"""Paper mode against the published stack written anew (CVXPY, CLARABEL, Numba), subproblem by subproblem."""
 
 from dataclasses import replace
 from functools import cache
