@@ -28,7 +28,10 @@ class Status(eqx.Enumeration):
         "Almost converged: progress ended at a looser accuracy than asked. The problem may be badly scaled or "
         "its tolerances below what float64 gives."
     )
-    iteration_limit = "The iteration limit came first. Allow more iterations, start from a better guess, or loosen the tolerances."
+    iteration_limit = (
+        "The iteration limit came first. Allow more iterations, start from a better guess, or loosen "
+        "the tolerances."
+    )
     infeasible = (
         "The constraints of a convex subproblem contradict each other (a certificate was found). Likely causes: "
         "start or goal violates a limit, a corridor cell does not reach the next, the landing cone lies outside "
@@ -38,13 +41,19 @@ class Status(eqx.Enumeration):
         "The cost of a convex subproblem falls without bound (a certificate was found). Likely causes: a missing "
         "limit on a control or on time, or a negative weight."
     )
-    insufficient_progress = "The steps became too small before the tolerances were met. The problem may be nearly infeasible or badly scaled."
+    insufficient_progress = (
+        "The steps became too small before the tolerances were met. The problem may be nearly "
+        "infeasible or badly scaled."
+    )
     numerical_error = "A number that is not finite arose inside the solver. Check scales: SI units, masses and times near one."
     dynamics_unmet = (
         "No flight was found that obeys the dynamics: virtual control remains. Likely causes: the final time or "
         "thrust limits make the task impossible, or the corridor forces too sharp a turn. Another guess may help."
     )
-    refuted = "The solver met its tolerances, but the independent certificate disagrees: see its report for which check failed."
+    refuted = (
+        "The solver met its tolerances, but the independent certificate disagrees: see its report for "
+        "which check failed."
+    )
     invalid_input = (
         "The scenario is not valid: a value is not finite, or start, goal, corridor or limits contradict each other. "
         "Call jaxscp.validate(scenario, nodes) outside jit and vmap for the field and the cause."
