@@ -45,7 +45,10 @@ class Status(eqx.Enumeration):
         "The steps became too small before the tolerances were met. The problem may be nearly "
         "infeasible or badly scaled."
     )
-    numerical_error = "A number that is not finite arose inside the solver. Check scales: SI units, masses and times near one."
+    numerical_error = (
+        "A number that is not finite arose inside the solver. Check scales: SI units, and masses and times near "
+        "one."
+    )
     dynamics_unmet = (
         "No flight was found that obeys the dynamics: virtual control remains. Likely causes: the final time or "
         "thrust limits make the task impossible, or the corridor forces too sharp a turn. Another guess may help."
