@@ -72,7 +72,13 @@ def test_single_integrator_with_varying_dilation():
     end = x + h * (s0 * u0 / 3 + s0 * u1 / 6 + s1 * u0 / 6 + s1 * u1 / 3)
     np.testing.assert_allclose(flow.state[:, 0], end, atol=EXACT)
     ones = jnp.ones_like(x)
-    expected = [ones, h * (s0 / 3 + s1 / 6), h * (u0 / 3 + u1 / 6), h * (s0 / 6 + s1 / 3), h * (u0 / 6 + u1 / 3)]
+    expected = [
+        ones,
+        h * (s0 / 3 + s1 / 6),
+        h * (u0 / 3 + u1 / 6),
+        h * (s0 / 6 + s1 / 3),
+        h * (u0 / 6 + u1 / 3),
+    ]
     np.testing.assert_allclose(flow.state_jacobian[:, 0], jnp.stack(expected, axis=1), atol=EXACT)
 
 
@@ -127,7 +133,9 @@ def integrated(problem, w):
         control = first + share * (last - first)
         B = np.asarray(in_control(x, control))
         forced = np.concatenate([np.zeros((n, n)), (1 - share) * B, share * B], axis=1)
-        return width * np.concatenate([value(x, control), (np.asarray(in_state(x, control)) @ S + forced).ravel()])
+        return width * np.concatenate(
+            [value(x, control), (np.asarray(in_state(x, control)) @ S + forced).ravel()]
+        )
 
     start = np.concatenate([w[:n], np.eye(n, n + 2 * m).ravel()])
     end = solve_ivp(right, (0.0, 1.0), start, method="DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
