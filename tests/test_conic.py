@@ -92,7 +92,9 @@ def test_equilibration_changes_units_only(seed):
     program = random_program(seed)
     scaled, scales = equilibrate(program)
     z = jax.random.normal(jax.random.key(seed), program.gradient.shape)
-    np.testing.assert_allclose(scaled.objective(z / scales.columns), scales.cost * program.objective(z), rtol=1e-10)
+    np.testing.assert_allclose(
+        scaled.objective(z / scales.columns), scales.cost * program.objective(z), rtol=1e-10
+    )
 
 
 @pytest.mark.parametrize(("blocks", "size"), [(1, 3), (2, 1), (7, 4)])

@@ -41,7 +41,8 @@ def factor(
     inverse = jax.vmap(lambda D: solve_triangular(D, eye, lower=True))(lower)
     forward = jnp.einsum("lij,lkj->lik", inverse[1:], below[:-1])
     backward = jnp.einsum("lji,ljk->lik", inverse, below)
-    return BlockCholesky(inverse, jnp.concatenate([jnp.zeros_like(forward[:1]), forward]), backward)
+    first = jnp.zeros((1, size, size), diagonal.dtype)
+    return BlockCholesky(inverse, jnp.concatenate([first, forward]), backward)
 
 
 def solve(cholesky: BlockCholesky, right: Float[Array, "blocks size"]) -> Float[Array, "blocks size"]:

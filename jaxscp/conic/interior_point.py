@@ -65,6 +65,8 @@ class InteriorPoint(eqx.Module):
 
     Args:
         tolerance: relative gap and residuals at which a program counts as solved.
+        proof_tolerance: residual, relative to what it proves, at which a proof of infeasibility or of
+            unboundedness counts: at 1e-6 it still excludes every point of norm below a million.
         loose_tolerance: those at which it counts as almost solved when progress ends earlier.
         max_iterations: Newton steps allowed.
         regularisation: added to the diagonal of the (equilibrated) system; its effect is refined away.
@@ -73,6 +75,7 @@ class InteriorPoint(eqx.Module):
     """
 
     tolerance: float = eqx.field(default=1e-8, static=True)
+    proof_tolerance: float = eqx.field(default=1e-6, static=True)
     loose_tolerance: float = eqx.field(default=1e-5, static=True)
     max_iterations: int = eqx.field(default=50, static=True)
     regularisation: float = eqx.field(default=1e-11, static=True)
@@ -114,7 +117,7 @@ class InteriorPoint(eqx.Module):
         proof = jnp.minimum(r.infeasibility, r.unboundedness)
         return (
             (r.error <= self.tolerance)
-            | (proof <= self.tolerance)
+            | (proof <= self.proof_tolerance)
             | progress.stalled
             | progress.broken
             | (progress.iterations >= self.max_iterations)
@@ -162,8 +165,10 @@ class InteriorPoint(eqx.Module):
             Status.where(progress.stalled, Status.insufficient_progress, Status.iteration_limit),
         )
         solved_status = Status.where(r.error <= self.loose_tolerance, Status.almost_converged, solved_status)
-        solved_status = Status.where(r.unboundedness <= self.tolerance, Status.unbounded, solved_status)
-        solved_status = Status.where(r.infeasibility <= self.tolerance, Status.infeasible, solved_status)
+        solved_status = Status.where(r.unboundedness <= self.proof_tolerance, Status.unbounded, solved_status)
+        solved_status = Status.where(
+            r.infeasibility <= self.proof_tolerance, Status.infeasible, solved_status
+        )
         return Status.where(r.error <= self.tolerance, Status.converged, solved_status)
 
 
