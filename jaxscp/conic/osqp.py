@@ -17,7 +17,7 @@ import osqp
 
 from jaxscp.conic.program import ConicSolution, Multipliers, StagedProgram
 from jaxscp.conic.quadratic import DEFAULT_FACETS, QuadraticProgram, quadratic_form
-from jaxscp.status import Status
+from jaxscp.status import Status, StatusCode
 
 # OSQP's own codes and what they are here; any other (a time limit, an interrupt) is too little progress.
 _MEANING = {
@@ -81,12 +81,7 @@ class OSQP(eqx.Module):
         (z, *multipliers), code, iterations = jax.pure_callback(
             self._on_host, (like, count, count), program, vmap_method="sequential"
         )
-        status = reduce(
-            lambda found, name: Status.where(code == _CODE[name], _MEANING[name], found),
-            _MEANING,
-            Status.insufficient_progress,
-        )
-        return ConicSolution(z, Multipliers(*multipliers), program.objective(z), status, iterations)
+        return ConicSolution(z, Multipliers(*multipliers), program.objective(z), status_of(code), iterations)
 
     def _on_host(self, program: StagedProgram):
         form, answer = self.solve_quadratic(program)
@@ -120,6 +115,15 @@ class OSQP(eqx.Module):
         if answer.x is None or not (np.all(np.isfinite(answer.x)) and np.all(np.isfinite(answer.y))):
             return _nothing(form, code, iterations)
         return QuadraticSolution(answer.x, answer.y, form.objective(answer.x), code, iterations)
+
+
+def status_of(code) -> StatusCode:
+    """The status that one of OSQP's codes stands for."""
+    return reduce(
+        lambda found, name: Status.where(code == _CODE[name], _MEANING[name], found),
+        _MEANING,
+        Status.insufficient_progress,
+    )
 
 
 def _nothing(form: QuadraticProgram, code: int, iterations: int) -> QuadraticSolution:
