@@ -37,7 +37,7 @@ from jaxscp.problem import OptimalControlProblem
 NODES = 30
 MISSIONS = {"platform": scenarios.platform_to_platform, "ascend": scenarios.ascent_to_platform}
 MODES = {"paper": NormTrustRegion(), "proximal": ProximalTrustRegion()}
-SCENARIOS, ITERATIONS = 20, 5
+SCENARIOS, ITERATIONS = 12, 5
 
 INTERIOR_POINT_MARK = 1e-6  # relative difference of optimal values
 OSQP_MARK = 1e-3  # of the quadratic form's, whose solver is an operator-splitting method
@@ -92,12 +92,10 @@ class Comparison:
 
     @property
     def osqp_misses(self) -> bool:
-        """Whether OSQP misses its mark; on the guess, a long linear chain, it is not asked to meet one."""
-        if self.mode == "guess":
-            return False
+        """Whether OSQP misses its mark; running out of steps without an answer is no false one."""
         wrong = self.osqp_status in SOLVED and self.osqp_reference not in SOLVED
         wrong |= self.osqp_status == "infeasible" and self.osqp_reference != "infeasible"
-        return wrong or self.osqp_relative > OSQP_MARK
+        return wrong or (self.osqp_reference in SOLVED and not self.osqp_relative <= OSQP_MARK)
 
 
 # --- subproblems of real runs ---

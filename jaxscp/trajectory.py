@@ -68,7 +68,8 @@ class Trajectory(eqx.Module):
         """
         names = ("time", "state", "control", "dilation")
         try:
-            with np.load(file) as archive:
+            # Opened here: NumPy leaves the file open where it is no archive.
+            with open(file, "rb") as stream, np.load(stream) as archive:
                 missing = [name for name in names if name not in archive]
                 arrays = {name: archive[name] for name in names if name not in missing}
         except (zipfile.BadZipFile, EOFError, TypeError, ValueError) as error:
