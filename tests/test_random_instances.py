@@ -1,0 +1,50 @@
+"""A hundred random missions: every plan, flown again by an independent integrator, ends at its goal."""
+
+import jax
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import jaxscp
+from jaxscp import Status, status_names
+from tests.random_instances import random_instances
+
+DISTANCE = 1e-3  # m, what a landing may miss
+ANGLE = np.radians(0.1)
+MISSIONS = {
+    "platform": jaxscp.scenarios.platform_to_platform,
+    "ascend": jaxscp.scenarios.ascent_to_platform,
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(2))
+def test_plans_land_where_they_say(seed):
+    mission = list(MISSIONS.values())[seed]
+    scenarios = random_instances(jax.random.key(seed), 50, mission)
+    solutions = jax.jit(jax.vmap(jaxscp.Planner()))(scenarios)
+    names = status_names(solutions.status)
+    assert set(names) == {"converged"}, names
+    assert np.max(solutions.certificate.position_error) < DISTANCE
+    assert np.max(solutions.certificate.attitude_error) < ANGLE
+    for leaf in jax.tree.leaves(solutions):
+        assert np.all(np.isfinite(leaf))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", MISSIONS)
+def test_scipy_lands_where_the_plan_says(name):
+    """The certificate's own integrator is not trusted here: SciPy's DOP853 flies the controls."""
+    scenario = MISSIONS[name]()
+    solution = jaxscp.Planner()(scenario)
+    assert bool(solution.status == Status.converged)
+    plan, body = solution.trajectory, scenario.airframe.body
+    rate = jax.jit(lambda t, x: body(x, plan.control_at(t)))
+    state = np.asarray(plan.state[0])
+    for start, end in zip(plan.time[:-1], plan.time[1:], strict=True):  # controls have kinks at the nodes
+        flown = solve_ivp(rate, (float(start), float(end)), state, method="DOP853", rtol=1e-10, atol=1e-10)
+        state = flown.y[:, -1]
+    goal = scenario.goal
+    assert np.linalg.norm(state[:3] - goal.position) < DISTANCE
+    overlap = abs(np.dot(state[6:10], goal.attitude)) / np.linalg.norm(state[6:10])
+    assert 2.0 * np.arccos(min(overlap, 1.0)) < ANGLE
