@@ -102,31 +102,35 @@ def terminal_cost(problem: OptimalControlProblem, z: Float[Array, "nodes variabl
 
 def _linear_constraint(
     problem: OptimalControlProblem, constraint: Constraint, reference: Float[Array, "nodes variables"]
-):
+) -> tuple[Array, Array]:
     """(matrix, value - matrix zref) of a constraint at every node; trivially satisfied where inactive."""
 
     def value(z, parameters):
         state, time, control, _ = problem.split(z)
         return constraint.function(state, control, time, parameters)
 
-    def at_node(z, parameters, active):
-        matrix, v = jax.jacfwd(value)(z, parameters), value(z, parameters)
+    def at_node(z: Array, parameters, active: Array):
+        matrix: Array = jax.jacfwd(value)(z, parameters)
+        v: Array = value(z, parameters)
         inactive = jnp.zeros_like(v)
         if not isinstance(constraint.cone, Zero):
             inactive = inactive.at[0 if isinstance(constraint.cone, SecondOrder) else slice(None)].set(1.0)
-        return jnp.where(active, matrix, 0.0), jnp.where(active, v - matrix @ z, inactive)
+        offset: Array = jnp.where(active, v - matrix @ z, inactive)
+        return jnp.where(active, matrix, 0.0), offset
 
     return jax.vmap(at_node)(reference, constraint.parameters, constraint.active)
 
 
-def _dilation_limits(problem: OptimalControlProblem, reference: Float[Array, "nodes variables"]):
+def _dilation_limits(
+    problem: OptimalControlProblem, reference: Float[Array, "nodes variables"]
+) -> tuple[Array, Array]:
     last = jnp.zeros(problem.variables, reference.dtype).at[-1].set(1.0)
     matrix = jnp.broadcast_to(jnp.stack([last, -last]), (problem.nodes, 2, problem.variables))
     offset = jnp.stack([-problem.dilation_min, problem.dilation_max])
     return matrix, jnp.broadcast_to(offset, (problem.nodes, 2))
 
 
-def _negate_matrix(pair):
+def _negate_matrix(pair: tuple[Array, Array]) -> tuple[Array, Array]:
     matrix, offset = pair
     return -matrix, offset
 

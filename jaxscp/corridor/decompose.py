@@ -5,6 +5,9 @@ and ``vmap`` runs it over segments, over clouds, or over both. Every polytope ha
 method's planes, six of a box about the segment, six of the volume that may be flown in.
 """
 
+# pyright: reportArgumentType=false, reportOperatorIssue=false
+# jax 0.9 declares of ``where`` that it may return a tuple, for arguments whose types are not declared
+
 from abc import abstractmethod
 from typing import TypeVar
 

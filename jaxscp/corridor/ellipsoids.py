@@ -4,6 +4,9 @@ Both are small enough to live in registers: the first is two reductions over the
 Newton steps in nine unknowns.
 """
 
+# pyright: reportArgumentType=false, reportOperatorIssue=false
+# jax 0.9 declares of ``where`` that it may return a tuple, for arguments whose types are not declared
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp

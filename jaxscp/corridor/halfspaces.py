@@ -1,5 +1,8 @@
 """Half-spaces that separate points from a seed segment, the nearest point of a metric first."""
 
+# pyright: reportArgumentType=false, reportOperatorIssue=false
+# jax 0.9 declares of ``where`` that it may return a tuple, for arguments whose types are not declared
+
 from collections.abc import Callable
 
 import equinox as eqx

@@ -1,5 +1,8 @@
 """The widest ball inside a polytope, and so the depth of an overlap between two."""
 
+# pyright: reportArgumentType=false, reportOperatorIssue=false
+# jax 0.9 declares of ``where`` that it may return a tuple, for arguments whose types are not declared
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
