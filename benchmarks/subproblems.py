@@ -134,7 +134,7 @@ def _varied(scenario: LandingScenario, random: np.random.Generator) -> LandingSc
 def _prepared(scenario: LandingScenario):
     """Problem, program of the guess, and the guess."""
     allocation = allocate(scenario.corridor, scenario.start.position, scenario.goal.position, NODES)
-    problem = landing_problem(scenario, allocation, extended=True)
+    problem = landing_problem(scenario, allocation, published=True)
     guess = initial_guess(scenario, allocation)
     z = problem.join(guess.states, guess.controls, guess.dilation)
     return problem, guess_program(scenario, allocation, guess_time(scenario, allocation)), z

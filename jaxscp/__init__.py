@@ -11,6 +11,7 @@ from jaxscp.landing import BodyState as BodyState
 from jaxscp.landing import LandingScenario as LandingScenario
 from jaxscp.landing import Weights as Weights
 from jaxscp.landing import at_rest as at_rest
+from jaxscp.newton import NewtonSCP as NewtonSCP
 from jaxscp.planner import Planner as Planner
 from jaxscp.planner import Solution as Solution
 from jaxscp.scp import SCP as SCP

@@ -12,13 +12,16 @@ from diffrax import Dopri8, ODETerm, PIDController, SaveAt, diffeqsolve
 from jaxtyping import Array, Float
 
 from jaxscp import rotations
-from jaxscp.constraints import Constraint, NonNegative, SecondOrder
+from jaxscp.constraints import Constraint, Limits, NonNegative, SecondOrder
 from jaxscp.problem import OptimalControlProblem
 from jaxscp.trajectory import Trajectory
 from jaxscp.types import Flag, Scalar
 
 TOLERANCE = 1e-10  # of the re-integration, relative and absolute
 MAX_STEPS = 4096  # of the re-integration, an interval
+DISTANCE = 1e-3  # m, that the end may miss the goal and a flight may leave its corridor or cone
+ANGLE = 1.75e-3  # rad (0.1 degree), that the end may miss the goal's attitude
+SHARE = 1e-3  # of the range between two limits, that a control may leave it
 
 
 class Flight(eqx.Module):
@@ -47,6 +50,8 @@ class Certificate(eqx.Module):
     """Worst violation at the nodes, for each constraint in the order of ``names``."""
     between_nodes: Float[Array, "constraints"]
     """Worst violation over dense samples of the whole flight."""
+    allowed: Float[Array, "constraints"]
+    """Violation that counts as none: 1 mm, or 1e-3 of the range between limits."""
     names: tuple[str, ...] = eqx.field(static=True)
 
     @property
@@ -91,6 +96,7 @@ def certify(problem: OptimalControlProblem, trajectory: Trajectory, samples: int
         rate_error=jnp.linalg.norm(end[10:13] - planned_end[10:13]),
         at_nodes=jnp.stack(at_nodes),
         between_nodes=jnp.stack(between),
+        allowed=jnp.stack([_allowance(c) for c in problem.constraints]),
         names=tuple(c.name for c in problem.constraints),
     )
 
@@ -156,6 +162,20 @@ def _worst(constraint: Constraint, flight: Flight) -> Scalar:
     return jnp.maximum(jnp.max(jnp.where(active[:, None], values, 0.0)), 0.0)
 
 
-def acceptable(certificate: Certificate, distance: float = 1e-3, angle: float = 1.75e-3) -> Flag:
-    """Whether the re-flown end lies within 1 mm and 0.1 degree of the goal."""
-    return (certificate.position_error <= distance) & (certificate.attitude_error <= angle)
+def _allowance(constraint: Constraint) -> Scalar:
+    parameters = constraint.parameters
+    if isinstance(parameters, Limits):
+        return SHARE * jnp.min(parameters.upper - parameters.lower)
+    return jnp.asarray(DISTANCE)
+
+
+def acceptable(certificate: Certificate, between_nodes: bool = True) -> Flag:
+    """Whether the re-flown end lies within 1 mm and 0.1 degree of the goal, and no constraint is violated anywhere
+    on the flight by more than 1 mm, or 1e-3 of the range between limits.
+
+    Args:
+        certificate: what the judge found.
+        between_nodes: whether the constraints are judged; the paper's method keeps them at the nodes only.
+    """
+    lands = (certificate.position_error <= DISTANCE) & (certificate.attitude_error <= ANGLE)
+    return lands & jnp.all(certificate.between_nodes <= certificate.allowed) if between_nodes else lands

@@ -37,6 +37,8 @@ class Constraint(eqx.Module):
         cone: ``Zero()``, ``NonNegative()`` or ``SecondOrder()``.
         active: (nodes,) whether the constraint holds at a node.
         name: what reports call it.
+        of_controls: whether it is an affine function of the controls alone. Those are linear between the nodes, so
+            that what holds at the nodes holds everywhere.
 
     Example:
         >>> import jax.numpy as jnp
@@ -52,6 +54,7 @@ class Constraint(eqx.Module):
     cone: Cone
     active: Bool[Array, "nodes"]
     name: str = eqx.field(static=True)
+    of_controls: bool = eqx.field(default=False, static=True)
 
 
 # --- the functions that landing problems use ---

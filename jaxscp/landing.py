@@ -128,15 +128,23 @@ def in_cone(nodes: int) -> Bool[Array, "nodes"]:
     return (index >= nodes - CONE_NODES) & (index < nodes - 1)
 
 
+def same_pose(state, time, goal: Float[Array, "13"]) -> Float[Array, "12"]:
+    """Position, velocity, attitude and body rate are the goal's; the attitude by three components."""
+    attitude = rotations.attitude_error(state[6:10], goal[6:10])
+    return jnp.concatenate([state[:6] - goal[:6], attitude, state[10:] - goal[10:]])
+
+
 def landing_problem(
-    scenario: LandingScenario, allocation: Int[Array, "intervals"], extended: bool = False
+    scenario: LandingScenario, allocation: Int[Array, "intervals"], published: bool = False
 ) -> OptimalControlProblem:
-    """The scenario as an optimal control problem on len(allocation) + 1 nodes, constrained at the nodes.
+    """The scenario as an optimal control problem on len(allocation) + 1 nodes.
 
     Args:
         scenario: what to fly.
         allocation: polytope of every interval, see ``allocate``; node k obeys that of interval k.
-        extended: whether running cost and time are states.
+        published: whether to state it as the paper does: running cost and time are states, and all four components
+            of the final quaternion are fixed. The flow keeps |q|, so that one of them is implied by the others and
+            multipliers are not unique; otherwise the three components of the attitude's error are zero.
     """
     nodes = allocation.shape[0] + 1
     cell = jnp.concatenate([allocation, allocation[-1:]])
@@ -155,6 +163,7 @@ def landing_problem(
             NonNegative(),
             everywhere,
             "thrust",
+            of_controls=True,
         ),
         Constraint(
             inside_landing_cone,
@@ -175,9 +184,11 @@ def landing_problem(
         weights=scenario.weights,
         constraints=constraints,
         initial=Boundary(fixed_components, FixedComponents(start, everything)),
-        final=Boundary(fixed_components, FixedComponents(goal, everything)),
+        final=Boundary(fixed_components, FixedComponents(goal, everything))
+        if published
+        else Boundary(same_pose, goal),
         dilation_min=scenario.dilation_min,
         dilation_max=scenario.dilation_max,
         nodes=nodes,
-        extended=extended,
+        extended=published,
     )

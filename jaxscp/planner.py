@@ -11,6 +11,7 @@ from jaxtyping import Array, Float, Int
 from jaxscp.certificate import Certificate, acceptable, certify
 from jaxscp.initial_guess import initial_guess
 from jaxscp.landing import LandingScenario, allocate, landing_problem
+from jaxscp.newton import NewtonSCP, NewtonState
 from jaxscp.problem import OptimalControlProblem, node_times
 from jaxscp.scp import SCP, History, SCPState
 from jaxscp.status import Status, StatusCode
@@ -58,7 +59,7 @@ class Planner(eqx.Module):
     """
 
     nodes: int = 30
-    method: SCP = SCP()
+    method: SCP | NewtonSCP = SCP()
     samples: int = 200
 
     def __call__(self, scenario: LandingScenario) -> Solution:
@@ -84,17 +85,22 @@ class Planner(eqx.Module):
     def setup(self, scenario: LandingScenario):
         """Problem, first node variables and allocation of a scenario: what the iterations start from."""
         allocation = allocate(scenario.corridor, scenario.start.position, scenario.goal.position, self.nodes)
-        problem = landing_problem(scenario, allocation, extended=True)
+        problem = landing_problem(scenario, allocation, self.method.published)
         guess = initial_guess(scenario, allocation)
         return problem, problem.join(guess.states, guess.controls, guess.dilation), allocation
 
     def conclude(
-        self, problem: OptimalControlProblem, state: SCPState, allocation: Int[Array, "intervals"]
+        self,
+        problem: OptimalControlProblem,
+        state: SCPState | NewtonState,
+        allocation: Int[Array, "intervals"],
     ) -> Solution:
         """Certify what the iterations ended with."""
         trajectory = trajectory_of(problem, state.z)
         certificate = certify(problem, trajectory, self.samples)
-        refuted = (state.status == Status.converged) & ~acceptable(certificate)
+        refuted = (state.status == Status.converged) & ~acceptable(
+            certificate, self.method.holds_between_nodes
+        )
         return Solution(
             status=Status.where(refuted, Status.refuted, state.status),
             trajectory=trajectory,
@@ -122,7 +128,7 @@ def _plan(planner: Planner, scenario: LandingScenario) -> Solution:
 
 @functools.partial(jax.jit, static_argnums=0)
 def _replan(planner: Planner, scenario: LandingScenario, z, allocation) -> Solution:
-    problem = landing_problem(scenario, allocation, extended=True)
+    problem = landing_problem(scenario, allocation, planner.method.published)
     return _solve(planner, scenario, problem, z, allocation)
 
 

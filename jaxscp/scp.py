@@ -74,6 +74,16 @@ class SCP(eqx.Module):
     substeps: int = eqx.field(default=10, static=True)
     conic: Callable[[StagedProgram], ConicSolution] = InteriorPoint()
 
+    @property
+    def published(self) -> bool:
+        """Whether the landing problem is stated as in the paper."""
+        return True
+
+    @property
+    def holds_between_nodes(self) -> bool:
+        """Whether a converged answer claims to keep its constraints between the nodes too."""
+        return False
+
     def init(self, problem: OptimalControlProblem, z: Float[Array, "nodes variables"]) -> SCPState:
         """State before the first subproblem, from an initial guess."""
         zeros = jnp.zeros(self.max_iterations, z.dtype)

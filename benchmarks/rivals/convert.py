@@ -111,7 +111,7 @@ def as_arrays(scenario: LandingScenario, nodes: int, method: SCP | None = None) 
 def _problem_and_guess(scenario: LandingScenario, nodes: int):
     allocation = allocate(scenario.corridor, scenario.start.position, scenario.goal.position, nodes)
     guess = jax.jit(initial_guess)(scenario, allocation)
-    return landing_problem(scenario, allocation, extended=True), guess
+    return landing_problem(scenario, allocation, published=True), guess
 
 
 def _constraints(arrays: LandingArrays) -> tuple[Constraint, ...]:

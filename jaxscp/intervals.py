@@ -1,0 +1,143 @@
+"""One interval of the flight as a function of its own variables: where it ends, what it costs, how safe it is.
+
+An interval's variables are w = (x_i, U_i, U_{i+1}): the state at its first node, and controls with their dilation
+at both. Path constraints hold at equally spaced points of every interval, its ends included, and between those
+points by a margin: where a value's second difference over three points is d, the value dips below the chord by
+d / 8 at most (to fourth order), so that much is asked for at the points.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from jaxscp.constraints import Constraint, SecondOrder
+from jaxscp.discretise import interval_inputs, rk4_step
+from jaxscp.problem import OptimalControlProblem
+
+_KINK = 1e-4  # m, or a value's unit: rounds the corner of max(0, d); a sixteenth of it may be missed
+
+
+class Grid(eqx.Module):
+    """Where an interval is integrated and constrained.
+
+    Args:
+        substeps: RK4 steps of an interval; never fewer than ten, since optimisers exploit the error of four.
+        points: stretches between the points at which constraints hold; divides ``substeps``.
+    """
+
+    substeps: int = eqx.field(default=10, static=True)
+    points: int = eqx.field(default=5, static=True)
+
+    def __check_init__(self):
+        if self.points < 2 or self.substeps % self.points:
+            raise ValueError(f"points: {self.points} must be at least 2 and divide substeps, {self.substeps}")
+
+
+class Outputs(eqx.Module):
+    """What intervals give, the intervals as leading axis if there are many; in Jacobians inputs are the last axis."""
+
+    end: Float[Array, "..."]
+    """(states,)"""
+    cost: Float[Array, "..."]
+    """(), the running cost."""
+    values: tuple[Float[Array, "..."], ...]
+    """(points, rows) of every constraint, less the margin; those of the controls alone at the first point only."""
+
+
+class Linearisation(eqx.Module):
+    """Outputs and their Jacobians with respect to w; the variables come last."""
+
+    outputs: Outputs
+    jacobian: Outputs
+
+
+def interval_outputs(problem: OptimalControlProblem, w: Float[Array, "inputs"], given, grid: Grid) -> Outputs:
+    """Fly one interval; ``given`` is its entry of ``interval_data``."""
+    parameters, keep = given
+    states, controls, cost = _fly(problem, w, grid)
+    values = tuple(
+        _values(problem, constraint, p, keep, states, controls)
+        for constraint, p in zip(problem.constraints, parameters, strict=True)
+    )
+    return Outputs(states[-1], cost, values)
+
+
+def evaluate(problem: OptimalControlProblem, z: Float[Array, "nodes variables"], grid: Grid) -> Outputs:
+    """Outputs of every interval."""
+    one = lambda w, p: interval_outputs(problem, w, p, grid)  # noqa: E731
+    return jax.vmap(one)(interval_inputs(problem, z), interval_data(problem, grid))
+
+
+def linearise(
+    problem: OptimalControlProblem, z: Float[Array, "nodes variables"], grid: Grid
+) -> Linearisation:
+    """Outputs of every interval and their Jacobians, by forward mode through the integration."""
+
+    def one(w, p):
+        push = lambda v: jax.jvp(lambda w: interval_outputs(problem, w, p, grid), (w,), (v,))  # noqa: E731
+        return Linearisation(*jax.vmap(push, out_axes=(None, -1))(jnp.eye(w.shape[0], dtype=w.dtype)))
+
+    return jax.vmap(one)(interval_inputs(problem, z), interval_data(problem, grid))
+
+
+def interval_data(problem: OptimalControlProblem, grid: Grid):
+    """For every interval: each constraint's parameters at its first node, and where the margin is kept.
+
+    The flight's two ends have none: there the boundary decides, and a goal may lie on the floor of its corridor.
+    """
+    parameters = tuple(jax.tree.map(lambda p: p[:-1], c.parameters) for c in problem.constraints)
+    keep = jnp.ones((problem.nodes - 1, grid.points + 1)).at[0, 0].set(0.0).at[-1, -1].set(0.0)
+    return parameters, keep
+
+
+def active_points(constraint: Constraint, points: int) -> Bool[Array, "intervals points"]:
+    """Where a constraint holds: in the intervals of its active nodes, and at the last node only if active there.
+
+    A landing cone, say, is left out at its apex, where the goal itself holds the vehicle.
+    """
+    active = jnp.broadcast_to(constraint.active[:-1, None], (constraint.active.shape[0] - 1, points))
+    last_point = active[-1, -1] & (constraint.active[-1] | (points == 1))
+    return active.at[-1, -1].set(last_point)
+
+
+def _fly(problem: OptimalControlProblem, w: Float[Array, "inputs"], grid: Grid):
+    """States and controls (with dilation) at the points, and the running cost."""
+    n, m = problem.state_size, problem.dynamics.control_size + 1
+    start, first, last = w[:n], w[n : n + m], w[n + m :]
+    step = 1.0 / (grid.substeps * (problem.nodes - 1))
+
+    def rate(share, state):
+        return problem.rate(state, first + share * (last - first))
+
+    def substep(carry, index):
+        return rk4_step(rate, carry, index / grid.substeps, 1.0 / grid.substeps, step), None
+
+    def stretch(carry, indices):
+        carry, _ = jax.lax.scan(substep, carry, indices)
+        return carry, carry[0]
+
+    indices = jnp.arange(grid.substeps, dtype=w.dtype).reshape(grid.points, -1)
+    (_, cost), states = jax.lax.scan(stretch, (start, jnp.zeros((), w.dtype)), indices)
+    share = jnp.linspace(0.0, 1.0, grid.points + 1, dtype=w.dtype)[:, None]
+    return jnp.concatenate([start[None], states]), first + share * (last - first), cost
+
+
+def _values(problem: OptimalControlProblem, constraint: Constraint, parameters, keep, states, controls):
+    def value(state, control):
+        return constraint.function(state, control[:-1], None, parameters)
+
+    if constraint.of_controls:  # linear between the nodes, as the controls are
+        return value(states[0], controls[0])[None]
+    values = jax.vmap(value)(states, controls)
+    return values - keep[:, None] * _margin(values, isinstance(constraint.cone, SecondOrder))
+
+
+def _margin(values: Float[Array, "points rows"], second_order: bool) -> Float[Array, "points rows"]:
+    """What a value may lack between points; a second-order cone's is all taken from its first component."""
+    bend = jnp.diff(values, n=2, axis=0)
+    bend = jnp.concatenate([bend[:1], bend, bend[-1:]])
+    if second_order:
+        size = jnp.sqrt(jnp.sum(bend * bend, axis=1) + _KINK**2) - _KINK  # nothing at the apex
+        return jnp.zeros_like(values).at[:, 0].set(size / 8.0 * jnp.sqrt(2.0))
+    return (bend + jnp.sqrt(bend * bend + _KINK**2) - _KINK) / 16.0

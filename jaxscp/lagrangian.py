@@ -1,0 +1,114 @@
+"""The Lagrangian of the nonlinear problem: its curvature, and the augmented form that judges steps.
+
+    L = sum_i cost_i + terminal cost + lambda_i . (F_i(w_i) - x_{i+1}) - sum y . g(w_i)
+
+with F the flow over an interval and g in K the constraint values at its points.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxscp.constraints import Cone, NonNegative, SecondOrder
+from jaxscp.discretise import interval_inputs
+from jaxscp.intervals import Grid, Outputs, active_points, interval_data, interval_outputs
+from jaxscp.problem import OptimalControlProblem
+from jaxscp.types import Nodes, Scalar
+
+
+class PathMultipliers(eqx.Module):
+    """Multipliers of the nonlinear problem, of every interval."""
+
+    flow: Float[Array, "intervals states"]
+    """lambda: of F(w_i) = x_{i+1}."""
+    values: tuple[Float[Array, "intervals _ _"], ...]
+    """y: of the constraints' values, in the dual of their cones."""
+    dilation: Nodes
+    """Of the nearer limit of each node's dilation; zero or more."""
+
+
+class Residual(eqx.Module):
+    """What a point lacks of feasibility, and its cost: all that the merit needs to know of it."""
+
+    cost: Scalar
+    """Running and terminal."""
+    defect: Float[Array, "intervals states"]
+    """F(w_i) - x_{i+1}."""
+    values: tuple[Float[Array, "intervals _ _"], ...]
+
+
+def residual(outputs: Outputs, terminal: Scalar, z: Float[Array, "nodes variables"]) -> Residual:
+    """Residual of a point from its intervals' outputs and its terminal cost."""
+    defect = outputs.end - z[1:, : outputs.end.shape[1]]
+    return Residual(jnp.sum(outputs.cost) + terminal, defect, outputs.values)
+
+
+def no_multipliers(problem: OptimalControlProblem, outputs: Outputs) -> PathMultipliers:
+    """Zeros, for the start."""
+    return PathMultipliers(
+        jnp.zeros_like(outputs.end), jax.tree.map(jnp.zeros_like, outputs.values), jnp.zeros(problem.nodes)
+    )
+
+
+def hessians(
+    problem: OptimalControlProblem, z: Float[Array, "nodes variables"], y: PathMultipliers, grid: Grid
+) -> Float[Array, "intervals inputs inputs"]:
+    """Second derivatives of the Lagrangian, one block an interval: nothing couples intervals but linearly.
+
+    The curvature of a terminal cost is left out; flight time has none.
+    """
+
+    def lagrangian(w, parameters, flow, values):
+        out = interval_outputs(problem, w, parameters, grid)
+        return out.cost + jnp.dot(flow, out.end) - sum(map(jnp.vdot, values, out.values))
+
+    second = jax.jacfwd(jax.grad(lagrangian))
+    return jax.vmap(second)(interval_inputs(problem, z), interval_data(problem, grid), y.flow, y.values)
+
+
+def merit(
+    problem: OptimalControlProblem,
+    r: Residual,
+    y: PathMultipliers,
+    weight: float,
+    scale: Float[Array, "states"],
+) -> Scalar:
+    """Augmented Lagrangian of a point (Rockafellar's form for the cones).
+
+    An exact penalty would count the defect a step leaves, which is of second order, at the full price of its
+    multiplier, whatever its sign, and so refuse good steps (Maratos effect); this one does not.
+
+    Args:
+        problem: gives the constraints' cones and where they are active.
+        r: the point.
+        y: multipliers, the same for all points that are compared.
+        weight: of the squared residuals.
+        scale: (states,) by which a defect is divided.
+    """
+    total = r.cost + jnp.vdot(y.flow, r.defect) + 0.5 * weight * jnp.sum((r.defect / scale) ** 2)
+    for constraint, values, multiplier in zip(problem.constraints, r.values, y.values, strict=True):
+        pull = projection(constraint.cone, multiplier - weight * values)
+        terms = (pull * pull - multiplier * multiplier) / (2.0 * weight)
+        active = active_points(constraint, values.shape[1])
+        total += jnp.sum(jnp.where(active[:, :, None], terms, 0.0))
+    return total
+
+
+def projection(cone: Cone, v: Float[Array, "*b d"]) -> Float[Array, "*b d"]:
+    """Nearest point of a cone's dual (which is the cone itself, or everything for an equality)."""
+    if isinstance(cone, NonNegative):
+        return jnp.maximum(v, 0.0)
+    if not isinstance(cone, SecondOrder):
+        return v
+    head, norm = v[..., :1], jnp.linalg.norm(v[..., 1:], axis=-1, keepdims=True)
+    middle = 0.5 * (head + norm)
+    between = jnp.concatenate([middle, middle * v[..., 1:] / jnp.maximum(norm, 1e-12)], axis=-1)
+    return jnp.where(norm <= head, v, jnp.where(norm <= -head, 0.0, between))
+
+
+def slack(cone: Cone, values: Float[Array, "*b rows"]) -> Float[Array, "*b scalars"]:
+    """Distance to the boundary of every scalar condition: one a row, or one for a second-order cone."""
+    if isinstance(cone, SecondOrder):
+        return values[..., :1] - jnp.linalg.norm(values[..., 1:], axis=-1, keepdims=True)
+    return values if isinstance(cone, NonNegative) else -jnp.abs(values)

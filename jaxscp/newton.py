@@ -1,0 +1,303 @@
+"""Sequential convex programming with second derivatives: its limit points are local optima, safe between nodes.
+
+Each iteration poses the subproblem with the curvature of the Lagrangian made convex (``curvature``), a quadratic
+proximal term, and the path constraints at points inside every interval (``intervals``); corrects the step to
+second order (``correction``); and takes it if an augmented Lagrangian falls below the worst of the last few
+(``lagrangian``). The proximal weight follows how well the model foretold the merit.
+
+Far from the optimum curvature is projected block by block, which keeps steps short and safe; once the proximal
+weight has fallen, it is condensed along the chain, which is exact at the end.
+"""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxscp.active_set import ActiveSet, active_set, nearest_dilation_limit, slacks
+from jaxscp.conic.interior_point import InteriorPoint
+from jaxscp.conic.program import ConicSolution, StagedProgram
+from jaxscp.convexify import terminal_cost
+from jaxscp.correction import HOLD, corrected
+from jaxscp.curvature import Chain, Convex, condensed, projected
+from jaxscp.discretise import interval_inputs
+from jaxscp.intervals import Grid, Linearisation, linearise
+from jaxscp.lagrangian import PathMultipliers, Residual, hessians, merit, no_multipliers, residual
+from jaxscp.lifted import boundary_condition, lifted_program, node_step, path_multipliers
+from jaxscp.lifted import check as check_liftable
+from jaxscp.problem import OptimalControlProblem, node_times
+from jaxscp.scp import History
+from jaxscp.status import Status, StatusCode, usable
+from jaxscp.types import Count, Flag, Scalar
+
+MEMORY = 5  # accepted points whose worst merit a new one must beat
+EXACT_BELOW = 1e-3  # proximal weight from which on curvature is condensed
+EXACT_PROXIMAL = 0.02  # proximal weight to begin that with
+ROUNDING = 1e-7  # of the cost: what subproblems of this accuracy leave unsure
+LEAST_PROXIMAL, MOST_PROXIMAL = 1e-5, 1e4
+
+
+class NewtonState(eqx.Module):
+    """State of the loop."""
+
+    z: Float[Array, "nodes variables"]
+    """The reference: the last accepted iterate."""
+    linear: Linearisation
+    """Its intervals."""
+    multipliers: PathMultipliers
+    """Of the subproblem that led to it."""
+    past: Residual
+    """The last accepted points, newest first."""
+    proximal: Scalar
+    exact: Flag
+    """Whether curvature is condensed by now."""
+    scale: Float[Array, "variables"]
+    """Typical sizes of a node's variables."""
+    cost: Scalar
+    iterations: Count
+    status: StatusCode
+    done: Flag
+    history: History
+
+
+class NewtonSCP(eqx.Module):
+    """Settings of the method.
+
+    Args:
+        tolerance: decrease of the cost, relative to it, that the model of a converged iterate still foretells.
+        tolerance_defect: sum of |F(w_i) - x_{i+1}| over the intervals of a converged iterate.
+        max_iterations: subproblems allowed.
+        proximal: first weight of the squared (scaled) step.
+        virtual_weight: price of virtual control.
+        merit_weight: of squared residuals in the augmented Lagrangian; the multipliers do most of its work.
+        correction_rounds: of the second-order correction, each a linear solve.
+        grid: of integration and path constraints.
+        conic: solver of the subproblems.
+
+    Example:
+        >>> import jaxscp
+        >>> planner = jaxscp.Planner(nodes=20, method=jaxscp.NewtonSCP())
+        >>> solution = planner(jaxscp.scenarios.ascent_to_platform())
+        >>> jaxscp.status_names(solution.status), bool(solution.certificate.violation < 1e-2)
+        ('converged', True)
+    """
+
+    tolerance: float = 1e-4
+    tolerance_defect: float = 5e-3
+    max_iterations: int = eqx.field(default=60, static=True)
+    proximal: float = 0.1
+    virtual_weight: float = 1000.0
+    merit_weight: float = 10.0
+    correction_rounds: int = eqx.field(default=2, static=True)
+    grid: Grid = Grid()
+    conic: Callable[[StagedProgram], ConicSolution] = InteriorPoint(tolerance=1e-7)
+
+    @property
+    def published(self) -> bool:
+        """Whether the landing problem is stated as in the paper."""
+        return False
+
+    @property
+    def holds_between_nodes(self) -> bool:
+        """Whether a converged answer claims to keep its constraints between the nodes too."""
+        return True
+
+    def init(self, problem: OptimalControlProblem, z: Float[Array, "nodes variables"]) -> NewtonState:
+        """State before the first subproblem, from an initial guess."""
+        check_liftable(problem)
+        linear = linearise(problem, z, self.grid)
+        zeros, counts = jnp.zeros(self.max_iterations, z.dtype), jnp.zeros(self.max_iterations, int)
+        now = residual(linear.outputs, terminal_cost(problem, z), z)
+        return NewtonState(
+            z=z,
+            linear=linear,
+            multipliers=no_multipliers(problem, linear.outputs),
+            past=jax.tree.map(lambda v: jnp.broadcast_to(v, (MEMORY, *v.shape)), now),
+            proximal=jnp.asarray(self.proximal, z.dtype),
+            exact=jnp.zeros((), bool),
+            scale=jnp.maximum(jnp.max(jnp.abs(z), axis=0), 1.0),
+            cost=now.cost,
+            iterations=jnp.zeros((), int),
+            status=Status.iteration_limit,
+            done=jnp.zeros((), bool),
+            history=History(zeros, zeros, zeros, zeros, zeros, zeros, counts),
+        )
+
+    def step(self, problem: OptimalControlProblem, state: NewtonState) -> NewtonState:
+        """Solve one subproblem; take its answer, corrected, if the merit agrees."""
+        scale = jnp.concatenate([state.scale, state.scale[problem.state_size :]])
+        now = jax.tree.map(lambda v: v[0], state.past)
+        true_hessian = hessians(problem, state.z, state.multipliers, self.grid)
+        clipped = projected(_scaled(true_hessian, scale))
+        active = active_set(problem, state.linear, state.multipliers, scale)
+        hessian, gradient = _model(problem, state, now, true_hessian, clipped, active, scale)
+        program = lifted_program(problem, state.z, state.linear, hessian, gradient, self.virtual_weight)
+        solution = self.conic(program)
+
+        multipliers = path_multipliers(problem, state.linear, solution.multipliers)
+        move = node_step(problem, solution.z)
+        candidate = corrected(
+            problem,
+            state.z + move,
+            program.links,
+            active_set(problem, state.linear, multipliers, scale),
+            clipped.hessian,
+            scale,
+            self.grid,
+            self.correction_rounds,
+        )
+        linear = linearise(problem, candidate, self.grid)
+        new = residual(linear.outputs, terminal_cost(problem, candidate), candidate)
+
+        virtual = program.virtual_control(solution.z)[1:-1, : problem.state_size]
+        foretold = _foretold(
+            now, program.gradient - gradient, true_hessian, problem, solution.z, move, virtual
+        )
+
+        def judge(r: Residual) -> Scalar:
+            sizes = state.scale[: problem.state_size]
+            return merit(problem, r, multipliers, self.merit_weight, sizes)
+
+        gain = judge(now) - judge(foretold)
+        settled = jnp.abs(gain) <= ROUNDING * (1.0 + jnp.abs(now.cost))
+        ratio = jnp.where(settled, 1.0, (judge(now) - judge(new)) / jnp.maximum(jnp.abs(gain), 1e-12))
+        worst = jnp.max(jax.vmap(judge)(state.past))
+        finite = jnp.all(
+            jnp.stack([jnp.all(jnp.isfinite(v)) for v in jax.tree.leaves((new, linear, multipliers))])
+        )
+        good = usable(solution.status) & finite
+        accept = good & ((worst - judge(new) >= 1e-4 * jnp.abs(gain)) | settled)
+
+        proximal, exact = _adapted(state, ratio, accept)
+        choose = lambda a, b: jax.tree.map(lambda p, q: jnp.where(accept, p, q), a, b)  # noqa: E731
+        past = jax.tree.map(lambda p, v: jnp.concatenate([v[None], p[:-1]]), state.past, new)
+        z, past = choose(candidate, state.z), choose(past, state.past)
+        now = jax.tree.map(lambda v: v[0], past)
+        defects = jnp.linalg.norm(now.defect, axis=1)
+        closed = jnp.sum(defects) <= self.tolerance_defect
+        small = jnp.abs(gain) <= self.tolerance * jnp.maximum(1.0, jnp.abs(now.cost))
+        optimal = accept & small & closed & (state.proximal <= EXACT_PROXIMAL)
+        stuck = proximal > MOST_PROXIMAL
+        status = Status.where(closed, Status.iteration_limit, Status.dynamics_unmet)
+        status = Status.where(stuck & closed, Status.insufficient_progress, status)
+        status = Status.where(stuck & ~usable(solution.status), solution.status, status)
+        row = History(
+            cost=now.cost,
+            objective=solution.objective,
+            final_time=node_times(z[:, -1])[-1],
+            virtual=jnp.max(jnp.linalg.norm(virtual, axis=1)),
+            step=jnp.max(jnp.linalg.norm(move / state.scale, axis=1)),
+            defect=jnp.max(defects),
+            conic_iterations=solution.iterations,
+        )
+        return NewtonState(
+            z=z,
+            linear=choose(linear, state.linear),
+            multipliers=choose(multipliers, state.multipliers),
+            past=past,
+            proximal=proximal,
+            exact=exact,
+            scale=state.scale,
+            cost=now.cost,
+            iterations=state.iterations + 1,
+            status=Status.where(optimal, Status.converged, status),
+            done=optimal | stuck,
+            history=jax.tree.map(lambda h, v: h.at[state.iterations].set(v), state.history, row),
+        )
+
+    def terminate(self, state: NewtonState) -> Flag:
+        """Whether the loop is over."""
+        return state.done | (state.iterations >= self.max_iterations)
+
+    def run(
+        self, problem: OptimalControlProblem, z: Float[Array, "nodes variables"], wanted: Flag | bool = True
+    ) -> NewtonState:
+        """Iterate from an initial guess to the end; not at all for a lane that is not wanted."""
+        start = self.init(problem, z)
+        start = eqx.tree_at(lambda s: s.done, start, ~jnp.asarray(wanted))
+        end = jax.lax.while_loop(
+            lambda state: ~self.terminate(state), lambda state: self.step(problem, state), start
+        )
+        return self.polish(problem, end)
+
+    def polish(self, problem: OptimalControlProblem, state: NewtonState, rounds: int = 3) -> NewtonState:
+        """Close what is left of the defects by Newton's method on them, the active constraints held."""
+        scale = jnp.concatenate([state.scale, state.scale[problem.state_size :]])
+        inputs = scale.shape[0]
+        none = jnp.zeros((problem.nodes, inputs, inputs)), jnp.zeros((problem.nodes, inputs))
+        # Plain least change: the multipliers may be far from those of the point, if the loop was cut short.
+        metric = jnp.broadcast_to(jnp.eye(inputs), (problem.nodes - 1, inputs, inputs))
+
+        def once(_, carry):
+            z, linear = carry
+            links = lifted_program(problem, z, linear, *none, self.virtual_weight).links
+            active = active_set(problem, linear, state.multipliers, scale)
+            z = corrected(problem, z, links, active, metric, scale, self.grid, self.correction_rounds)
+            return z, linearise(problem, z, self.grid)
+
+        z, linear = jax.lax.fori_loop(0, rounds, once, (state.z, state.linear))
+        now = residual(linear.outputs, terminal_cost(problem, z), z)
+        return eqx.tree_at(lambda s: (s.z, s.linear, s.cost), state, (z, linear, now.cost))
+
+
+def _scaled(hessian: Float[Array, "*b n n"], scale: Float[Array, "n"]) -> Float[Array, "*b n n"]:
+    return hessian * scale * scale[:, None]
+
+
+def _model(
+    problem: OptimalControlProblem,
+    state: NewtonState,
+    now: Residual,
+    true_hessian,
+    clipped: Convex,
+    active: ActiveSet,
+    scale: Float[Array, "inputs"],
+):
+    """Hessian and extra gradient of every stage, in the variables' own units."""
+    n, stage = problem.state_size, problem.variables
+    inputs = scale.shape[0]
+    own = (jnp.arange(inputs) < stage).astype(scale.dtype)  # the proximal term counts each node once
+    near = state.proximal * jnp.diag(own)
+    at_limit = HOLD * active.dilation[:, None] * jnp.eye(inputs, dtype=scale.dtype)[stage - 1]
+    beyond = (state.z[:, -1] - nearest_dilation_limit(problem, state.z[:, -1])) / scale[stage - 1]
+
+    held = _scaled(true_hessian, scale) + HOLD * active.curvature() + jax.vmap(jnp.diag)(at_limit[:-1])
+    ends, _ = boundary_condition(problem.final, state.z[-1, :n])
+    ends = ends * scale[:n]
+    final = jnp.diag(
+        at_limit[-1, :stage] + 0.5 * state.proximal * (jnp.arange(stage) >= n).astype(scale.dtype)
+    )
+    final = final.at[:n, :n].add(HOLD * ends.T @ ends)
+    chain = Chain(state.linear.jacobian.end * scale / scale[:n, None], now.defect / scale[:n])
+    exact = condensed(held + 0.5 * near, chain, final)
+    pull = HOLD * active.pull(slacks(problem, state.linear.outputs)) + exact.gradient
+    pull = jnp.pad(pull, ((0, 1), (0, 0))) + at_limit * beyond[:, None]
+
+    last = jnp.zeros((1, inputs, inputs))
+    idle = jnp.diag(1.0 - own)[None]
+    hessian = jnp.where(
+        state.exact,
+        jnp.concatenate([exact.hessian + 0.5 * near, last + 0.5 * near + idle]),
+        jnp.concatenate([clipped.hessian + near, last + near + idle]),
+    )
+    return hessian / scale / scale[:, None], jnp.where(state.exact, pull, 0.0) / scale
+
+
+def _foretold(now: Residual, gradient, hessian, problem, stages, move, virtual) -> Residual:
+    """What the model makes of the point that a step leads to: feasible but for virtual control."""
+    w = interval_inputs(problem, move)
+    cost = now.cost + jnp.vdot(gradient, stages) + 0.5 * jnp.einsum("iw,iwv,iv->", w, hessian, w)
+    return Residual(cost, virtual, tuple(jnp.full_like(v, 0.0) for v in now.values))
+
+
+def _adapted(state: NewtonState, ratio: Scalar, accept: Flag):
+    """Next proximal weight, and whether curvature is to be condensed."""
+    rough = jnp.where(ratio > 0.5, 0.2, jnp.where(ratio > 0.1, 1.0, 2.0))
+    fine = jnp.where(ratio > 0.85, 0.2, jnp.where(ratio > 0.6, 0.5, jnp.where(ratio > 0.2, 1.0, 3.0)))
+    factor = jnp.where(state.exact, fine, rough)
+    factor = jnp.where(accept, factor, jnp.where(state.exact, 5.0, 8.0))
+    proximal = jnp.maximum(state.proximal * factor, LEAST_PROXIMAL)
+    begin = accept & ~state.exact & (proximal < EXACT_BELOW) & (ratio > 0.5)
+    return jnp.where(begin, EXACT_PROXIMAL, proximal), state.exact | begin

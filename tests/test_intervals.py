@@ -1,0 +1,79 @@
+"""Intervals as functions of their variables: the same flow as the discretisation's, exact Jacobians, safe margins."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxscp.discretise import interval_inputs, propagate
+from jaxscp.intervals import Grid, active_points, evaluate, linearise
+from jaxscp.landing import same_pose
+from jaxscp.rotations import from_yaw
+from tests.flights import random_nodes, short_problem
+
+ROUNDING = 1e-12
+SLOPE = 1e-6  # relative; central differences of 1e-6 in values near one
+DIP = 5e-4  # m; what the margin, itself of second order, may miss where curvature changes within an interval
+
+
+@pytest.fixture(scope="module")
+def problem():
+    return short_problem()
+
+
+def test_the_flow_is_the_discretisations(problem):
+    z = random_nodes(problem, 0)
+    end, cost = propagate(problem, z, 10)
+    out = evaluate(problem, z, Grid())
+    np.testing.assert_allclose(out.end, end, rtol=ROUNDING, atol=ROUNDING)
+    np.testing.assert_allclose(out.cost, cost, rtol=ROUNDING)
+
+
+def test_jacobians_are_differences(problem):
+    z = random_nodes(problem, 1)
+    linear = jax.jit(lambda z: linearise(problem, z, Grid()))(z)
+    values = jax.jit(lambda z: evaluate(problem, z, Grid()))
+    direction = jnp.asarray(np.random.default_rng(2).standard_normal(z.shape))
+    h = 1e-6
+    w = interval_inputs(problem, direction)
+    ahead, behind = values(z + h * direction), values(z - h * direction)
+    for jacobian, a, b in zip(*map(jax.tree.leaves, (linear.jacobian, ahead, behind)), strict=True):
+        slope = jnp.einsum("i...w,iw->i...", jacobian, w)
+        np.testing.assert_allclose(slope, (a - b) / (2.0 * h), rtol=SLOPE, atol=1e-5)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_nothing_dips_below_the_margin_between_points(problem, seed):
+    """Values on a grid twenty times as fine are never below the line through the constrained ones."""
+    z = random_nodes(problem, seed)
+    coarse = evaluate(problem, z, Grid(10, 5)).values[0]
+    bare = eqx.filter_jit(evaluate)(problem, z, Grid(200, 100)).values[0]  # its margin is 400 times as small
+    lowest = bare.reshape(*bare.shape[:2], -1).min(axis=1)
+    assert float(jnp.max(coarse.min(axis=1) - lowest)) < DIP
+    assert float(jnp.max(lowest - coarse.min(axis=1))) > 1e-3  # the margin is there at all
+
+
+def test_limits_of_controls_hold_at_nodes_alone(problem):
+    values = evaluate(problem, random_nodes(problem, 3), Grid()).values
+    assert [v.shape[1] for v in values] == [6, 1, 6]
+
+
+def test_the_cone_is_left_out_at_its_apex(problem):
+    cone = problem.constraints[2]
+    active = active_points(cone, 6)
+    assert bool(active[-1, -2])
+    assert not bool(active[-1, -1])
+    assert not bool(active[0].any())
+
+
+def test_a_grid_that_does_not_divide_is_refused():
+    with pytest.raises(ValueError, match="points"):
+        Grid(substeps=10, points=4)
+
+
+def test_either_sign_of_a_quaternion_is_the_goal():
+    goal = jnp.zeros(13).at[6:10].set(from_yaw(0.3))
+    other = goal.at[6:10].multiply(-1.0)
+    np.testing.assert_allclose(same_pose(other, 0.0, goal), 0.0, atol=ROUNDING)
+    assert same_pose(goal, 0.0, goal).shape == (12,)
