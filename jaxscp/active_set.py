@@ -5,6 +5,7 @@ curvature convex, correcting a step to second order) has to hold them.
 """
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -14,6 +15,7 @@ from jaxscp.lagrangian import PathMultipliers, slack
 from jaxscp.problem import OptimalControlProblem
 from jaxscp.types import Nodes
 
+NEAR = 0.02  # slack, in a condition's own unit, below which a correction might use it up
 PULL = 1e-4  # cost per unit of a (scaled) condition from which on it counts as active
 
 
@@ -66,6 +68,25 @@ def active_set(
     weight = jnp.concatenate(weights, axis=1).astype(gradient.dtype)
     at_limit = (multipliers.dilation > PULL).astype(gradient.dtype)
     return ActiveSet(gradient / size[..., None], size, weight, at_limit)
+
+
+def near_limits(
+    problem: OptimalControlProblem, linear: Linearisation, dilation: Nodes, scale: Float[Array, "inputs"]
+) -> ActiveSet:
+    """Whatever has less slack than ``NEAR`` left, whether or not it has a price."""
+    free = PathMultipliers(
+        jnp.zeros_like(linear.outputs.end),
+        jax.tree.map(jnp.zeros_like, linear.outputs.values),
+        jnp.zeros_like(dilation),
+    )
+    conditions = active_set(problem, linear, free, scale)
+    on = [
+        ((slack(c.cone, v) < NEAR) & active_points(c, v.shape[1])[:, :, None]).reshape(v.shape[0], -1)
+        for c, v in zip(problem.constraints, linear.outputs.values, strict=True)
+    ]
+    at_limit = jnp.minimum(dilation - problem.dilation_min, problem.dilation_max - dilation) < NEAR
+    weight = jnp.concatenate(on, axis=1).astype(dilation.dtype)
+    return ActiveSet(conditions.gradient, conditions.size, weight, at_limit.astype(dilation.dtype))
 
 
 def slacks(problem: OptimalControlProblem, outputs: Outputs) -> Float[Array, "intervals conditions"]:

@@ -17,8 +17,11 @@ from jaxscp.lifted import boundary_condition
 from jaxscp.problem import OptimalControlProblem
 from jaxscp.types import Scalar
 
-HOLD = 300.0  # price of leaving an active constraint, in scaled units: far above the curvature of the rest
+HOLD = (
+    300.0  # usual price of leaving an active constraint, in scaled units: far above the curvature of the rest
+)
 _DAMPING = 1e-2  # keeps the metric positive definite
+FIRM = 1e6  # price that leaves nothing to see
 _TINY = 1e-9  # on the diagonal for link rows that say nothing
 
 
@@ -31,6 +34,8 @@ def corrected(
     scale: Float[Array, "inputs"],
     grid: Grid,
     rounds: int,
+    hold: float = HOLD,
+    attract: bool = True,
 ) -> Float[Array, "nodes variables"]:
     """The candidate, moved towards the true dynamics.
 
@@ -43,22 +48,29 @@ def corrected(
         scale: typical sizes of an interval's variables.
         grid: of the integration.
         rounds: of the chord method.
+        hold: price of leaving an active constraint, in scaled units.
+        attract: whether to pull towards active constraints what has moved off them into the safe side.
 
     Returns:
         The corrected candidate; or the candidate itself, should that lack less.
     """
-    solve = _least_step(links, _held(metric, active, problem.variables), scale)
     states = problem.state_size
+    solve = _least_step(links, _held(metric, active, states, problem.variables, hold), scale)
+    lacking = (lambda s: s) if attract else (lambda s: jnp.minimum(s, 0.0))
 
     def round_(z, _):
         out = evaluate(problem, z, grid)
         lack = jnp.zeros_like(links.offset).at[1:-1, :states].set(z[1:, :states] - out.end)
         missed = boundary_condition(problem.final, z[-1, :states])[1]
         lack = lack.at[-1, : missed.shape[0]].set(-missed)
-        pull = jnp.zeros((problem.nodes, scale.shape[0])).at[:-1].set(active.pull(slacks(problem, out)))
-        beyond = (z[:, -1] - nearest_dilation_limit(problem, z[:, -1])) / scale[problem.variables - 1]
+        pull = (
+            jnp.zeros((problem.nodes, scale.shape[0])).at[:-1].set(active.pull(lacking(slacks(problem, out))))
+        )
+        beyond = (
+            attract * (z[:, -1] - nearest_dilation_limit(problem, z[:, -1])) / scale[problem.variables - 1]
+        )
         pull = pull.at[:, problem.variables - 1].add(active.dilation * beyond)
-        step = solve(HOLD * pull, lack)
+        step = solve(hold * pull, lack)
         dilation = jnp.clip(
             z[:, -1] + step[:, problem.variables - 1], problem.dilation_min, problem.dilation_max
         )
@@ -69,11 +81,20 @@ def corrected(
     return jnp.where(after < 0.5 * before, better, candidate)
 
 
-def _held(metric, active: ActiveSet, variables: int) -> Float[Array, "nodes inputs inputs"]:
+def _held(
+    metric: Float[Array, "intervals inputs inputs"],
+    active: ActiveSet,
+    states: int,
+    variables: int,
+    hold: float,
+) -> Float[Array, "nodes inputs inputs"]:
+    """The metric with a price on leaving active constraints; the last node's controls, whose limits no interval
+    counts as its own, stay."""
     inputs = metric.shape[-1]
-    held = jnp.zeros((metric.shape[0] + 1, inputs, inputs)).at[:-1].set(metric + HOLD * active.curvature())
-    held = held.at[:, variables - 1, variables - 1].add(HOLD * active.dilation)
-    return held + _DAMPING * jnp.eye(inputs)
+    held = jnp.zeros((metric.shape[0] + 1, inputs, inputs)).at[:-1].set(metric + hold * active.curvature())
+    held = held.at[:, variables - 1, variables - 1].add(hold * active.dilation)
+    last = jnp.diag((jnp.arange(inputs) >= states).astype(metric.dtype))
+    return held.at[-1].add(hold * last) + _DAMPING * jnp.eye(inputs)
 
 
 def _least_step(links: Links, metric: Float[Array, "nodes inputs inputs"], scale: Float[Array, "inputs"]):

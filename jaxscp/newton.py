@@ -16,11 +16,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxscp.active_set import ActiveSet, active_set, nearest_dilation_limit, slacks
+from jaxscp.active_set import ActiveSet, active_set, near_limits, nearest_dilation_limit, slacks
 from jaxscp.conic.interior_point import InteriorPoint
 from jaxscp.conic.program import ConicSolution, StagedProgram
 from jaxscp.convexify import terminal_cost
-from jaxscp.correction import HOLD, corrected
+from jaxscp.correction import FIRM, HOLD, corrected
 from jaxscp.curvature import Chain, Convex, condensed, projected
 from jaxscp.discretise import interval_inputs
 from jaxscp.intervals import Grid, Linearisation, linearise
@@ -223,7 +223,7 @@ class NewtonSCP(eqx.Module):
         return self.polish(problem, end)
 
     def polish(self, problem: OptimalControlProblem, state: NewtonState, rounds: int = 3) -> NewtonState:
-        """Close what is left of the defects by Newton's method on them, the active constraints held."""
+        """Close what is left of the defects by Newton's method on them, without using up what is near a limit."""
         scale = jnp.concatenate([state.scale, state.scale[problem.state_size :]])
         inputs = scale.shape[0]
         none = jnp.zeros((problem.nodes, inputs, inputs)), jnp.zeros((problem.nodes, inputs))
@@ -233,8 +233,10 @@ class NewtonSCP(eqx.Module):
         def once(_, carry):
             z, linear = carry
             links = lifted_program(problem, z, linear, *none, self.virtual_weight).links
-            active = active_set(problem, linear, state.multipliers, scale)
-            z = corrected(problem, z, links, active, metric, scale, self.grid, self.correction_rounds)
+            near = near_limits(problem, linear, z[:, -1], scale)
+            z = corrected(
+                problem, z, links, near, metric, scale, self.grid, self.correction_rounds, FIRM, attract=False
+            )
             return z, linearise(problem, z, self.grid)
 
         z, linear = jax.lax.fori_loop(0, rounds, once, (state.z, state.linear))
