@@ -16,8 +16,8 @@ jax.config.update("jax_enable_x64", True)
 import jaxscp  # noqa: E402
 from benchmarks.rivals import paper  # noqa: E402
 from benchmarks.rivals.convert import as_arrays, as_method, as_problem  # noqa: E402
+from jaxscp.allocation import allocate  # noqa: E402
 from jaxscp.initial_guess import initial_guess  # noqa: E402
-from jaxscp.landing import allocate  # noqa: E402
 
 MISSIONS = {
     "platform": jaxscp.scenarios.platform_to_platform,

@@ -25,13 +25,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxscp import SCP, NormTrustRegion, ProximalTrustRegion, scenarios, status_names
+from jaxscp.allocation import allocate
 from jaxscp.conic import OSQP, ConicSolution, StagedProgram, export
 from jaxscp.conic.interior_point import InteriorPoint
 from jaxscp.conic.osqp import status_of
 from jaxscp.conic.quadratic import QuadraticProgram
 from jaxscp.convexify import convexify
 from jaxscp.initial_guess import guess_program, guess_time, initial_guess
-from jaxscp.landing import LandingScenario, allocate, landing_problem
+from jaxscp.landing import landing_problem
+from jaxscp.mission import LandingScenario
 from jaxscp.problem import OptimalControlProblem
 
 NODES = 30

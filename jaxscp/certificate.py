@@ -11,17 +11,14 @@ import jax.numpy as jnp
 from diffrax import Dopri8, ODETerm, PIDController, SaveAt, diffeqsolve
 from jaxtyping import Array, Float
 
-from jaxscp import rotations
-from jaxscp.constraints import Constraint, Limits, NonNegative, SecondOrder
+from jaxscp.constraints import DISTANCE, AcrossIntervals, AtNodes, Constraint, NonNegative, SecondOrder
 from jaxscp.problem import OptimalControlProblem
 from jaxscp.trajectory import Trajectory
 from jaxscp.types import Flag, Scalar
 
 TOLERANCE = 1e-10  # of the re-integration, relative and absolute
 MAX_STEPS = 4096  # of the re-integration, an interval
-DISTANCE = 1e-3  # m, that the end may miss the goal and a flight may leave its corridor or cone
 ANGLE = 1.75e-3  # rad (0.1 degree), that the end may miss the goal's attitude
-SHARE = 1e-3  # of the range between two limits, that a control may leave it
 
 
 class Flight(eqx.Module):
@@ -39,7 +36,7 @@ class Certificate(eqx.Module):
     defect: Scalar
     """Largest distance between the planned and the re-flown state at a node, all states in one norm."""
     position_error: Scalar
-    """m, of the re-flown end from the planned goal."""
+    """m, of the re-flown end from the goal, in the components that are fixed."""
     velocity_error: Scalar
     """m/s, likewise."""
     attitude_error: Scalar
@@ -51,7 +48,7 @@ class Certificate(eqx.Module):
     between_nodes: Float[Array, "constraints"]
     """Worst violation over dense samples of the whole flight."""
     allowed: Float[Array, "constraints"]
-    """Violation that counts as none: 1 mm, or 1e-3 of the range between limits."""
+    """Violation that counts as none: 1 mm for distances, 1e-3 of a limit or of the range between two."""
     names: tuple[str, ...] = eqx.field(static=True)
 
     @property
@@ -80,25 +77,34 @@ def certify(problem: OptimalControlProblem, trajectory: Trajectory, samples: int
 
     Args:
         problem: what was asked.
-        trajectory: the answer; only its controls, its dilation and its first state are trusted.
+        trajectory: the answer; only its controls, its dilation and its first state are trusted. ``problem.final``
+            must be a condition on (position, velocity, attitude by 3 or 4 components, body rate).
         samples: points an interval at which constraints are evaluated.
     """
     flight = fly(problem, trajectory, samples)
-    planned_end, end = trajectory.state[-1], flight.state[-1, -1]
+    missed = problem.final.function(flight.state[-1, -1], trajectory.time[-1], problem.final.parameters)
     defect = jnp.max(jnp.linalg.norm(flight.state[:, -1] - trajectory.state[1:], axis=-1))
-    between = [_worst(c, flight) for c in problem.constraints]
-    at_nodes = [_worst(c, _nodes_only(trajectory)) for c in problem.constraints]
+    judged = [_judge(c, trajectory, flight) for c in problem.constraints]
     return Certificate(
         defect=defect,
-        position_error=jnp.linalg.norm(end[:3] - planned_end[:3]),
-        velocity_error=jnp.linalg.norm(end[3:6] - planned_end[3:6]),
-        attitude_error=rotations.angle_between(end[6:10], planned_end[6:10]),
-        rate_error=jnp.linalg.norm(end[10:13] - planned_end[10:13]),
-        at_nodes=jnp.stack(at_nodes),
-        between_nodes=jnp.stack(between),
-        allowed=jnp.stack([_allowance(c) for c in problem.constraints]),
+        position_error=jnp.linalg.norm(missed[:3]),
+        velocity_error=jnp.linalg.norm(missed[3:6]),
+        attitude_error=_angle(missed[6:-3]),
+        rate_error=jnp.linalg.norm(missed[-3:]),
+        at_nodes=jnp.stack([at_nodes for at_nodes, _ in judged]),
+        between_nodes=jnp.stack([between for _, between in judged]),
+        allowed=jnp.stack([jnp.asarray(c.allowed, float) for c in problem.constraints]),
         names=tuple(c.name for c in problem.constraints),
     )
+
+
+def _angle(missed: Float[Array, "_"]) -> Scalar:
+    """Angle of a rotation from what a boundary condition says of it: the difference of two quaternions (4,), of
+    length 2 sin(angle / 4), or a vector part (3,), of length sin(angle / 2)."""
+    length = jnp.linalg.norm(missed)
+    if missed.shape[0] == 4:
+        return 4.0 * jnp.arcsin(jnp.minimum(0.5 * length, 1.0))
+    return 2.0 * jnp.arcsin(jnp.minimum(length, 1.0))
 
 
 def fly(problem: OptimalControlProblem, trajectory: Trajectory, samples: int) -> Flight:
@@ -143,35 +149,60 @@ def _nodes_only(trajectory: Trajectory) -> Flight:
     return Flight(trajectory.time[:, None], trajectory.state[:, None], trajectory.control[:, None])
 
 
+def _flown_nodes(trajectory: Trajectory, flight: Flight) -> Flight:
+    """The nodes as flown, not as planned."""
+    state = jnp.concatenate([flight.state[:, :1], flight.state[-1:, -1:]])
+    return Flight(trajectory.time[:, None], state, trajectory.control[:, None])
+
+
+def _violation(constraint: Constraint, value) -> Scalar:
+    if isinstance(constraint.cone, SecondOrder):
+        return jnp.linalg.norm(value[1:]) - value[0]
+    if isinstance(constraint.cone, NonNegative):
+        return -jnp.min(value)
+    return jnp.max(jnp.abs(value))
+
+
 def _worst(constraint: Constraint, flight: Flight) -> Scalar:
     """Worst violation on a flight; interval k is judged by the parameters of node k."""
     count = flight.time.shape[0]
 
     def violation(state, control, time, parameters):
-        value = constraint.function(state, control, time, parameters)
-        if isinstance(constraint.cone, SecondOrder):
-            return jnp.linalg.norm(value[1:]) - value[0]
-        if isinstance(constraint.cone, NonNegative):
-            return -jnp.min(value)
-        return jnp.max(jnp.abs(value))
+        return _violation(constraint, constraint.function(state, control, time, parameters))
 
     over_samples = jax.vmap(violation, in_axes=(0, 0, 0, None))
     parameters = jax.tree.map(lambda p: p[:count], constraint.parameters)
     values = jax.vmap(over_samples)(flight.state, flight.control, flight.time, parameters)
     active = constraint.active[:count]
-    return jnp.maximum(jnp.max(jnp.where(active[:, None], values, 0.0)), 0.0)
+    return jnp.max(jnp.where(active[:, None], values, 0.0), initial=0.0)
 
 
-def _allowance(constraint: Constraint) -> Scalar:
-    parameters = constraint.parameters
-    if isinstance(parameters, Limits):
-        return SHARE * jnp.min(parameters.upper - parameters.lower)
-    return jnp.asarray(DISTANCE)
+def _worst_across(constraint: Constraint, trajectory: Trajectory) -> Scalar:
+    intervals = trajectory.time.shape[0] - 1
+    held = jnp.concatenate([trajectory.control, trajectory.dilation[:, None]], axis=1)
+    parameters = jax.tree.map(lambda p: p[:-1], constraint.parameters)
+
+    def violation(first, last, parameters):
+        return _violation(constraint, constraint.function(first, last, 1.0 / intervals, parameters))
+
+    values = jax.vmap(violation)(held[:-1], held[1:], parameters)
+    return jnp.max(jnp.where(constraint.active[:-1], values, 0.0), initial=0.0)
+
+
+def _judge(constraint: Constraint, trajectory: Trajectory, flight: Flight) -> tuple[Scalar, Scalar]:
+    """Worst violation at the nodes, and wherever the constraint is meant to hold."""
+    if isinstance(constraint.where, AcrossIntervals):
+        worst = _worst_across(constraint, trajectory)
+        return worst, worst
+    at_nodes = _worst(constraint, _nodes_only(trajectory))
+    if isinstance(constraint.where, AtNodes):
+        return at_nodes, _worst(constraint, _flown_nodes(trajectory, flight))
+    return at_nodes, _worst(constraint, flight)
 
 
 def acceptable(certificate: Certificate, between_nodes: bool = True) -> Flag:
     """Whether the re-flown end lies within 1 mm and 0.1 degree of the goal, and no constraint is violated anywhere
-    on the flight by more than 1 mm, or 1e-3 of the range between limits.
+    on the flight by more than 1 mm, or 1e-3 of a limit.
 
     Args:
         certificate: what the judge found.

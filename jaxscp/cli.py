@@ -20,7 +20,7 @@ from rich.table import Table
 
 from jaxscp import scenarios
 from jaxscp.convexify import NormTrustRegion, ProximalTrustRegion
-from jaxscp.landing import LandingScenario
+from jaxscp.mission import LandingScenario
 from jaxscp.newton import NewtonSCP
 from jaxscp.planner import Planner, Solution
 from jaxscp.scp import SCP

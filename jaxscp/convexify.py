@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxscp.conic.program import Cones, Links, NormCost, Rows, StagedProgram
-from jaxscp.constraints import Constraint, NonNegative, SecondOrder, Zero
+from jaxscp.constraints import AcrossIntervals, Constraint, NonNegative, SecondOrder, Zero
 from jaxscp.discretise import Discretisation
 from jaxscp.problem import Boundary, OptimalControlProblem, node_times
 from jaxscp.types import Scalar
@@ -60,6 +60,11 @@ def convexify(
     Returns:
         The subproblem, and the cost without its penalties.
     """
+    for constraint in problem.constraints:
+        if isinstance(constraint.where, AcrossIntervals):
+            raise ValueError(
+                f"{constraint.name}: this method has no constraints across intervals; use NewtonSCP."
+            )
     cost = linear_cost(problem, reference, flow)
     linear = [_linear_constraint(problem, c, reference) for c in problem.constraints]
     kinds = [(c.cone, matrix, value) for c, (matrix, value) in zip(problem.constraints, linear, strict=True)]
@@ -84,7 +89,7 @@ def linear_cost(
     """Running and terminal cost, linearised about the reference."""
     n = problem.variables
     terminal, gradient = jax.value_and_grad(lambda z: terminal_cost(problem, z))(reference)
-    if problem.extended:
+    if problem.carries_cost:
         return LinearCost(
             gradient.at[-1, problem.dynamics.state_size].add(1.0), terminal - jnp.vdot(gradient, reference)
         )
@@ -150,10 +155,11 @@ def _links(problem, reference, flow: Discretisation, equalities, virtual_weight)
     n, states, dtype = problem.variables, problem.state_size, reference.dtype
     initial, initial_right = _linear_boundary(problem, problem.initial, reference[0])
     final, final_right = _linear_boundary(problem, problem.final, reference[-1])
-    if problem.extended:  # running cost and time start at zero
-        clocks = jnp.eye(n, dtype=dtype)[problem.dynamics.state_size : states]
-        initial = jnp.concatenate([initial, clocks])
-        initial_right = jnp.concatenate([initial_right, jnp.zeros(2, dtype)])
+    carried = jnp.eye(n, dtype=dtype)[
+        problem.dynamics.state_size : states
+    ]  # running cost and time start at zero
+    initial = jnp.concatenate([initial, carried])
+    initial_right = jnp.concatenate([initial_right, jnp.zeros(carried.shape[0], dtype)])
     m = max(states, initial.shape[0], final.shape[0])
     pad = lambda a, axis: jnp.pad(  # noqa: E731
         a, [(0, m - a.shape[axis]) if i == axis else (0, 0) for i in range(a.ndim)]

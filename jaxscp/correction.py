@@ -13,7 +13,7 @@ from jaxscp.active_set import ActiveSet, nearest_dilation_limit, slacks
 from jaxscp.conic import block_tridiagonal
 from jaxscp.conic.program import Links
 from jaxscp.intervals import Grid, evaluate
-from jaxscp.lifted import boundary_condition
+from jaxscp.lifted import end_condition
 from jaxscp.problem import OptimalControlProblem
 from jaxscp.types import Scalar
 
@@ -21,7 +21,7 @@ HOLD = (
     300.0  # usual price of leaving an active constraint, in scaled units: far above the curvature of the rest
 )
 _DAMPING = 1e-2  # keeps the metric positive definite
-FIRM = 1e6  # price that leaves nothing to see
+FIRM = 1e7  # price that leaves nothing to see
 _TINY = 1e-9  # on the diagonal for link rows that say nothing
 
 
@@ -57,17 +57,20 @@ def corrected(
     states = problem.state_size
     solve = _least_step(links, _held(metric, active, states, problem.variables, hold), scale)
     lacking = (lambda s: s) if attract else (lambda s: jnp.minimum(s, 0.0))
+    dilation_pull = 1.0 if attract else 0.0  # nothing may leave its limits, dilation least of all: see below
 
     def round_(z, _):
         out = evaluate(problem, z, grid)
         lack = jnp.zeros_like(links.offset).at[1:-1, :states].set(z[1:, :states] - out.end)
-        missed = boundary_condition(problem.final, z[-1, :states])[1]
+        missed = end_condition(problem, z[-1, :states])[1]
         lack = lack.at[-1, : missed.shape[0]].set(-missed)
         pull = (
             jnp.zeros((problem.nodes, scale.shape[0])).at[:-1].set(active.pull(lacking(slacks(problem, out))))
         )
         beyond = (
-            attract * (z[:, -1] - nearest_dilation_limit(problem, z[:, -1])) / scale[problem.variables - 1]
+            dilation_pull
+            * (z[:, -1] - nearest_dilation_limit(problem, z[:, -1]))
+            / scale[problem.variables - 1]
         )
         pull = pull.at[:, problem.variables - 1].add(active.dilation * beyond)
         step = solve(hold * pull, lack)

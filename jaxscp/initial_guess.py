@@ -9,9 +9,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from jaxscp import rotations
+from jaxscp.allocation import route_positions
 from jaxscp.conic.interior_point import InteriorPoint
 from jaxscp.conic.program import Cones, Links, NormCost, Rows, StagedProgram
-from jaxscp.landing import LandingScenario, in_cone, route_positions
+from jaxscp.landing import in_cone
+from jaxscp.mission import LandingScenario
 from jaxscp.status import StatusCode
 from jaxscp.types import Controls, Nodes, Scalar, States
 
@@ -42,6 +45,7 @@ def initial_guess(scenario: LandingScenario, allocation: Int[Array, "intervals"]
         States, controls and dilation at the nodes; positions are along the route itself if the program fails.
     """
     duration = guess_time(scenario, allocation)
+    scenario = eqx.tree_at(lambda s: s.goal, scenario, scenario.goal_at(duration))
     program = guess_program(scenario, allocation, duration)
     solution = GUESS_CONIC(program)
     nodes = program.nodes
@@ -77,7 +81,8 @@ def guess_program(
     corridor = scenario.corridor
     faces = corridor.normals[cell]
     cotangent = 1.0 / jnp.tan(scenario.cone_angle)
-    side = jnp.diag(jnp.array([1.0, 1.0, cotangent], dtype))[jnp.array([2, 0, 1])]
+    deck = rotations.rotation_matrix(scenario.goal.attitude).T  # rows are the deck's axes
+    side = jnp.array([cotangent, 1.0, 1.0], dtype)[:, None] * deck[jnp.array([2, 0, 1])]
     apex = scenario.goal.position
     active = in_cone(nodes)[:, None]
     cone_matrix = jnp.where(active[:, :, None], -_pad_columns(side, 9), 0.0)

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxscp.constraints import Constraint, SecondOrder
+from jaxscp.constraints import AcrossIntervals, AtNodes, Constraint, SecondOrder
 from jaxscp.discretise import interval_inputs, rk4_step
 from jaxscp.problem import OptimalControlProblem
 
@@ -42,7 +42,7 @@ class Outputs(eqx.Module):
     cost: Float[Array, "..."]
     """(), the running cost."""
     values: tuple[Float[Array, "..."], ...]
-    """(points, rows) of every constraint, less the margin; those of the controls alone at the first point only."""
+    """(points, rows) of every constraint, less the margin; of those that do not hold throughout, at one point."""
 
 
 class Linearisation(eqx.Module):
@@ -124,13 +124,20 @@ def _fly(problem: OptimalControlProblem, w: Float[Array, "inputs"], grid: Grid):
 
 
 def _values(problem: OptimalControlProblem, constraint: Constraint, parameters, keep, states, controls):
-    def value(state, control):
-        return constraint.function(state, control[:-1], None, parameters)
-
-    if constraint.of_controls:  # linear between the nodes, as the controls are
-        return value(states[0], controls[0])[None]
-    values = jax.vmap(value)(states, controls)
+    if isinstance(constraint.where, AcrossIntervals):
+        width = 1.0 / (problem.nodes - 1)
+        return constraint.function(controls[0], controls[-1], width, parameters)[None]
+    at = lambda x, u: value_at(problem, constraint, x, u, parameters)  # noqa: E731
+    if isinstance(constraint.where, AtNodes):
+        return at(states[0], controls[0])[None]
+    values = jax.vmap(at)(states, controls)
     return values - keep[:, None] * _margin(values, isinstance(constraint.cone, SecondOrder))
+
+
+def value_at(problem: OptimalControlProblem, constraint: Constraint, state, control, parameters):
+    """A constraint's values at a whole state and a control with the dilation last."""
+    physical, time = problem.split_state(state)
+    return constraint.function(physical, control[:-1], time, parameters)
 
 
 def _margin(values: Float[Array, "points rows"], second_order: bool) -> Float[Array, "points rows"]:

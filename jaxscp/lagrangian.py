@@ -95,6 +95,16 @@ def merit(
     return total
 
 
+def worst_violation(problem: OptimalControlProblem, r: Residual) -> Scalar:
+    """Largest violation of a constraint at its points, in the unit of its values; zero if there is none."""
+    worst = jnp.zeros(())
+    for constraint, values in zip(problem.constraints, r.values, strict=True):
+        lack = -slack(constraint.cone, values)
+        active = active_points(constraint, values.shape[1])[:, :, None]
+        worst = jnp.maximum(worst, jnp.max(jnp.where(active, lack, 0.0), initial=0.0))
+    return worst
+
+
 def projection(cone: Cone, v: Float[Array, "*b d"]) -> Float[Array, "*b d"]:
     """Nearest point of a cone's dual (which is the cone itself, or everything for an equality)."""
     if isinstance(cone, NonNegative):

@@ -5,111 +5,35 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxscp import rotations
-from jaxscp.airframes import Airframe
+from jaxscp.allocation import gate_nodes, route_positions
 from jaxscp.constraints import (
+    DISTANCE,
+    AcrossIntervals,
+    AtNodes,
     Constraint,
     HalfSpaces,
     LandingCone,
     Limits,
     NonNegative,
     SecondOrder,
+    Zones,
     inside_half_spaces,
     inside_landing_cone,
+    inside_zone,
+    outside_zones,
     repeat_over_nodes,
+    within_body_rate,
     within_control_limits,
+    within_speed,
+    within_thrust_rate,
+    within_tilt,
 )
-from jaxscp.corridor.polytopes import Corridor
+from jaxscp.mission import LandingScenario, Weights
 from jaxscp.problem import Boundary, FixedComponents, OptimalControlProblem, fixed_components
-from jaxscp.types import Points, Quaternion, Scalar, Vector3
+from jaxscp.types import Scalar
 
 CONE_NODES = 6  # the last six nodes lie in the landing cone, as in the paper
-
-
-class BodyState(eqx.Module):
-    """Position, velocity, attitude and body rate of a vehicle."""
-
-    position: Vector3
-    """m, world."""
-    velocity: Vector3
-    """m/s, world."""
-    attitude: Quaternion
-    """(w, x, y, z), body to world, unit norm."""
-    body_rate: Vector3
-    """rad/s, body."""
-
-    def vector(self) -> Float[Array, "13"]:
-        """The 13 states in order."""
-        return jnp.concatenate([self.position, self.velocity, self.attitude, self.body_rate])
-
-
-def at_rest(position, yaw: float = 0.0) -> BodyState:
-    """Level and at rest at a position in m, heading ``yaw`` radians.
-
-    Example:
-        >>> import jaxscp
-        >>> jaxscp.at_rest([1.0, 2.0, 3.0]).vector().shape
-        (13,)
-    """
-    zero = jnp.zeros(3)
-    return BodyState(jnp.asarray(position, float), zero, rotations.from_yaw(yaw), zero)
-
-
-class Weights(eqx.Module):
-    """Weights of the cost: control effort w_u and flight time w_t (equation 8, Table I)."""
-
-    control: Scalar
-    time: Scalar
-
-
-class LandingScenario(eqx.Module):
-    """Everything that a Monte Carlo study may vary, as one pytree; every float is a leaf.
-
-    Example:
-        >>> import jaxscp
-        >>> scenario = jaxscp.scenarios.platform_to_platform()
-        >>> scenario.corridor.count
-        5
-    """
-
-    airframe: Airframe
-    start: BodyState
-    goal: BodyState
-    corridor: Corridor
-    cone_angle: Scalar
-    """gamma_c in radians: angle of the landing cone's side above the deck; pi/4 in the paper."""
-    weights: Weights
-    dilation_min: Scalar
-    """Least dt/dtau in s: bounds the flight time and every part of the mesh."""
-    dilation_max: Scalar
-    """Greatest dt/dtau in s."""
-    obstacles: Points | None = None
-    """Point cloud in m that the corridor avoids, for pictures and for checks; the solver does not read it."""
-
-
-def allocate(corridor: Corridor, start: Vector3, goal: Vector3, nodes: int) -> Int[Array, "intervals"]:
-    """Polytope of every interval: shares by the length of the route start, joints, goal; at least one each.
-
-    The time dilation adapts the mesh afterwards (Remark 1 of the paper).
-    """
-    route = jnp.concatenate([start[None], corridor.joints, goal[None]])
-    length = jnp.cumsum(jnp.linalg.norm(jnp.diff(route, axis=0), axis=1))
-    spare = nodes - 1 - corridor.count
-    share = length[:-1] / jnp.maximum(length[-1], 1e-9)
-    ends = jnp.arange(1, corridor.count) + jnp.round(spare * share).astype(int)
-    return jnp.searchsorted(ends, jnp.arange(nodes - 1), side="right").astype(int)
-
-
-def route_positions(
-    corridor: Corridor, start: Vector3, goal: Vector3, allocation: Int[Array, "intervals"]
-) -> Points:
-    """Positions of the nodes on the polyline start, joints, goal; the nodes of a polytope evenly spaced on it."""
-    route = jnp.concatenate([start[None], corridor.joints, goal[None]])
-    intervals = jnp.arange(allocation.shape[0])
-    first = jnp.searchsorted(allocation, allocation, side="left").astype(int)
-    last = jnp.searchsorted(allocation, allocation, side="right").astype(int)
-    share = (intervals - first) / (last - first)
-    points = route[allocation] + share[:, None] * (route[allocation + 1] - route[allocation])
-    return jnp.concatenate([points, goal[None]])
+SHARE = 1e-3  # of a limit: violation that counts as none
 
 
 def effort(state, control, weights: Weights) -> Scalar:
@@ -128,10 +52,28 @@ def in_cone(nodes: int) -> Bool[Array, "nodes"]:
     return (index >= nodes - CONE_NODES) & (index < nodes - 1)
 
 
-def same_pose(state, time, goal: Float[Array, "13"]) -> Float[Array, "12"]:
-    """Position, velocity, attitude and body rate are the goal's; the attitude by three components."""
-    attitude = rotations.attitude_error(state[6:10], goal[6:10])
-    return jnp.concatenate([state[:6] - goal[:6], attitude, state[10:] - goal[10:]])
+class Pose(eqx.Module):
+    """Parameters of ``same_pose``."""
+
+    state: Float[Array, "13"]
+    """At time zero."""
+    velocity: Float[Array, "3"]
+    """m/s, of what the state is relative to."""
+    fixed: Float[Array, "12"]
+    """One where a component is fixed, zero where it is free."""
+
+
+def same_pose(state, time, p: Pose) -> Float[Array, "12"]:
+    """Each fixed component of position, velocity, attitude and body rate is as asked; the attitude's are three."""
+    moved = 0.0 if time is None else p.velocity * time
+    position, velocity = state[:3] - (p.state[:3] + moved), state[3:6] - (p.state[3:6] + p.velocity)
+    attitude = rotations.attitude_error(state[6:10], p.state[6:10])
+    return p.fixed * jnp.concatenate([position, velocity, attitude, state[10:] - p.state[10:]])
+
+
+def same_pose_unit(state, time, p: Pose) -> Float[Array, "13"]:
+    """``same_pose``, and a quaternion of unit norm, which the flow then keeps: for a start with free attitude."""
+    return jnp.append(same_pose(state, time, p), 0.5 * (jnp.sum(state[6:10] ** 2) - 1.0))
 
 
 def landing_problem(
@@ -147,48 +89,119 @@ def landing_problem(
             multipliers are not unique; otherwise the three components of the attitude's error are zero.
     """
     nodes = allocation.shape[0] + 1
-    cell = jnp.concatenate([allocation, allocation[-1:]])
-    everywhere = jnp.ones(nodes, bool)
-    constraints = (
-        Constraint(
-            inside_half_spaces,
-            HalfSpaces(scenario.corridor.normals[cell], scenario.corridor.offsets[cell]),
-            NonNegative(),
-            everywhere,
-            "corridor",
-        ),
-        Constraint(
-            within_control_limits,
-            repeat_over_nodes(Limits(scenario.airframe.thrust_min, scenario.airframe.thrust_max), nodes),
-            NonNegative(),
-            everywhere,
-            "thrust",
-            of_controls=True,
-        ),
-        Constraint(
-            inside_landing_cone,
-            repeat_over_nodes(LandingCone(scenario.goal.position, 1.0 / jnp.tan(scenario.cone_angle)), nodes),
-            SecondOrder(),
-            in_cone(nodes),
-            "landing cone",
-        ),
-    )
-    everything = jnp.ones(13, scenario.goal.position.dtype)
-    start, goal = scenario.start.vector(), scenario.goal.vector()
-    # q and -q are one attitude: ask for the one that the start's is nearer to.
-    goal = goal.at[6:10].multiply(jnp.where(jnp.dot(start[6:10], goal[6:10]) < 0, -1.0, 1.0))
+    initial, final = _boundaries(scenario, published)
     return OptimalControlProblem(
         dynamics=scenario.airframe.body,
         running_cost=effort,
         terminal_cost=flight_time,
         weights=scenario.weights,
-        constraints=constraints,
-        initial=Boundary(fixed_components, FixedComponents(start, everything)),
-        final=Boundary(fixed_components, FixedComponents(goal, everything))
-        if published
-        else Boundary(same_pose, goal),
+        constraints=(
+            *_corridor_and_cone(scenario, allocation),
+            *_flight_limits(scenario, nodes),
+            *_zones(scenario, allocation),
+        ),
+        initial=initial,
+        final=final,
         dilation_min=scenario.dilation_min,
         dilation_max=scenario.dilation_max,
         nodes=nodes,
-        extended=published,
+        carries_cost=published,
+        carries_time=published or scenario.deck_velocity is not None,
     )
+
+
+def _boundaries(s: LandingScenario, published: bool) -> tuple[Boundary, Boundary]:
+    start, goal = s.start.vector(), s.goal.vector()
+    # q and -q are one attitude: ask for the one that the start's is nearer to.
+    goal = goal.at[6:10].multiply(jnp.where(jnp.dot(start[6:10], goal[6:10]) < 0, -1.0, 1.0))
+    everything, still = jnp.ones(13, goal.dtype), jnp.zeros(3, goal.dtype)
+    initial = Boundary(fixed_components, FixedComponents(start, everything))
+    if s.start_fixed is not None:
+        initial = Boundary(same_pose_unit, Pose(start, still, s.start_fixed.vector()))
+    if published and s.goal_fixed is None and s.deck_velocity is None:
+        return initial, Boundary(fixed_components, FixedComponents(goal, everything))
+    deck = still if s.deck_velocity is None else s.deck_velocity
+    which = everything[:12] if s.goal_fixed is None else s.goal_fixed.vector()
+    return initial, Boundary(same_pose, Pose(goal, deck, which))
+
+
+def _corridor_and_cone(s: LandingScenario, allocation: Int[Array, "intervals"]):
+    nodes = allocation.shape[0] + 1
+    cell = jnp.concatenate([allocation, allocation[-1:]])
+    faces = HalfSpaces(s.corridor.normals[cell], s.corridor.offsets[cell])
+    everywhere = jnp.ones(nodes, bool)
+    yield Constraint(inside_half_spaces, faces, NonNegative(), everywhere, "corridor")
+    low, high = s.airframe.thrust_min, s.airframe.thrust_max
+    yield Constraint(
+        within_control_limits,
+        repeat_over_nodes(Limits(low, high), nodes),
+        NonNegative(),
+        everywhere,
+        "thrust",
+        AtNodes(),
+        allowed=SHARE * jnp.min(high - low),
+    )
+    velocity = jnp.zeros_like(s.goal.position) if s.deck_velocity is None else s.deck_velocity
+    axes = rotations.rotation_matrix(s.goal.attitude)
+    cone = LandingCone(s.goal.position, velocity, axes, 1.0 / jnp.tan(s.cone_angle))
+    yield Constraint(
+        inside_landing_cone, repeat_over_nodes(cone, nodes), SecondOrder(), in_cone(nodes), "landing cone"
+    )
+
+
+def _flight_limits(s: LandingScenario, nodes: int):
+    everywhere = jnp.ones(nodes, bool)
+    for name, function, allowed in (
+        ("speed", within_speed, lambda limit: SHARE * limit),
+        ("tilt", within_tilt, lambda limit: jnp.sin(0.5 * (1.0 + SHARE) * limit) - jnp.sin(0.5 * limit)),
+        ("body_rate", within_body_rate, lambda limit: SHARE * limit),
+    ):
+        limit = getattr(s.limits, name)
+        if limit is not None:
+            yield Constraint(
+                function,
+                repeat_over_nodes(limit, nodes),
+                SecondOrder(),
+                everywhere,
+                name.replace("_", " "),
+                allowed=allowed(limit),
+            )
+    if s.limits.thrust_rate is not None:
+        yield Constraint(
+            within_thrust_rate,
+            repeat_over_nodes(s.limits.thrust_rate, nodes),
+            NonNegative(),
+            everywhere,
+            "thrust rate",
+            AcrossIntervals(),
+            allowed=SHARE * s.dilation_min,
+        )
+
+
+def _zones(s: LandingScenario, allocation: Int[Array, "intervals"]):
+    nodes = allocation.shape[0] + 1
+    if s.keep_out is not None:
+        zones = repeat_over_nodes(Zones(s.keep_out.centres, s.keep_out.shapes), nodes)
+        yield Constraint(
+            outside_zones,
+            zones,
+            NonNegative(),
+            jnp.ones(nodes, bool),
+            "keep-out",
+            convex=False,
+            allowed=DISTANCE,
+        )
+    if s.gates is not None:
+        route = route_positions(s.corridor, s.start.position, s.goal.position, allocation)
+        chosen = gate_nodes(route, s.gates.centres)
+        for number in range(s.gates.centres.shape[0]):
+            gate = Zones(s.gates.centres[number], s.gates.shapes[number])
+            yield Constraint(
+                inside_zone,
+                repeat_over_nodes(gate, nodes),
+                SecondOrder(),
+                jnp.arange(nodes) == chosen[number],
+                f"gate {number + 1}",
+                AtNodes(),
+                allowed=DISTANCE * jnp.max(jnp.linalg.norm(gate.shapes, axis=1)),
+            )

@@ -24,8 +24,24 @@ from jaxscp.correction import FIRM, HOLD, corrected
 from jaxscp.curvature import Chain, Convex, condensed, projected
 from jaxscp.discretise import interval_inputs
 from jaxscp.intervals import Grid, Linearisation, linearise
-from jaxscp.lagrangian import PathMultipliers, Residual, hessians, merit, no_multipliers, residual
-from jaxscp.lifted import boundary_condition, lifted_program, node_step, path_multipliers
+from jaxscp.lagrangian import (
+    PathMultipliers,
+    Residual,
+    hessians,
+    merit,
+    no_multipliers,
+    residual,
+    worst_violation,
+)
+from jaxscp.lifted import (
+    buffered,
+    cost_gradient,
+    end_condition,
+    lifted_links,
+    lifted_program,
+    node_step,
+    path_multipliers,
+)
 from jaxscp.lifted import check as check_liftable
 from jaxscp.problem import OptimalControlProblem, node_times
 from jaxscp.scp import History
@@ -67,7 +83,8 @@ class NewtonSCP(eqx.Module):
 
     Args:
         tolerance: decrease of the cost, relative to it, that the model of a converged iterate still foretells.
-        tolerance_defect: sum of |F(w_i) - x_{i+1}| over the intervals of a converged iterate.
+        tolerance_defect: sum of |F(w_i) - x_{i+1}| over the intervals of a converged iterate, and worst violation
+            of a constraint at its points; what is left is closed at the end.
         max_iterations: subproblems allowed.
         proximal: first weight of the squared (scaled) step.
         virtual_weight: price of virtual control.
@@ -141,7 +158,7 @@ class NewtonSCP(eqx.Module):
         candidate = corrected(
             problem,
             state.z + move,
-            program.links,
+            lifted_links(problem, state.z, state.linear, self.virtual_weight),
             active_set(problem, state.linear, multipliers, scale),
             clipped.hessian,
             scale,
@@ -152,9 +169,8 @@ class NewtonSCP(eqx.Module):
         new = residual(linear.outputs, terminal_cost(problem, candidate), candidate)
 
         virtual = program.virtual_control(solution.z)[1:-1, : problem.state_size]
-        foretold = _foretold(
-            now, program.gradient - gradient, true_hessian, problem, solution.z, move, virtual
-        )
+        slope = jnp.vdot(cost_gradient(problem, state.z, state.linear), solution.z[:, : scale.shape[0]])
+        foretold = _foretold(problem, now, slope, true_hessian, solution.z, move, virtual)
 
         def judge(r: Residual) -> Scalar:
             sizes = state.scale[: problem.state_size]
@@ -176,11 +192,14 @@ class NewtonSCP(eqx.Module):
         z, past = choose(candidate, state.z), choose(past, state.past)
         now = jax.tree.map(lambda v: v[0], past)
         defects = jnp.linalg.norm(now.defect, axis=1)
-        closed = jnp.sum(defects) <= self.tolerance_defect
+        flown = jnp.sum(defects) <= self.tolerance_defect
+        safe = worst_violation(problem, now) <= self.tolerance_defect
+        closed = flown & safe
         small = jnp.abs(gain) <= self.tolerance * jnp.maximum(1.0, jnp.abs(now.cost))
         optimal = accept & small & closed & (state.proximal <= EXACT_PROXIMAL)
         stuck = proximal > MOST_PROXIMAL
-        status = Status.where(closed, Status.iteration_limit, Status.dynamics_unmet)
+        status = Status.where(safe, Status.iteration_limit, Status.constraints_unmet)
+        status = Status.where(flown, status, Status.dynamics_unmet)
         status = Status.where(stuck & closed, Status.insufficient_progress, status)
         status = Status.where(stuck & ~usable(solution.status), solution.status, status)
         row = History(
@@ -226,13 +245,12 @@ class NewtonSCP(eqx.Module):
         """Close what is left of the defects by Newton's method on them, without using up what is near a limit."""
         scale = jnp.concatenate([state.scale, state.scale[problem.state_size :]])
         inputs = scale.shape[0]
-        none = jnp.zeros((problem.nodes, inputs, inputs)), jnp.zeros((problem.nodes, inputs))
         # Plain least change: the multipliers may be far from those of the point, if the loop was cut short.
         metric = jnp.broadcast_to(jnp.eye(inputs), (problem.nodes - 1, inputs, inputs))
 
         def once(_, carry):
             z, linear = carry
-            links = lifted_program(problem, z, linear, *none, self.virtual_weight).links
+            links = lifted_links(problem, z, linear, self.virtual_weight)
             near = near_limits(problem, linear, z[:, -1], scale)
             z = corrected(
                 problem, z, links, near, metric, scale, self.grid, self.correction_rounds, FIRM, attract=False
@@ -266,7 +284,7 @@ def _model(
     beyond = (state.z[:, -1] - nearest_dilation_limit(problem, state.z[:, -1])) / scale[stage - 1]
 
     held = _scaled(true_hessian, scale) + HOLD * active.curvature() + jax.vmap(jnp.diag)(at_limit[:-1])
-    ends, _ = boundary_condition(problem.final, state.z[-1, :n])
+    ends, _ = end_condition(problem, state.z[-1, :n])
     ends = ends * scale[:n]
     final = jnp.diag(
         at_limit[-1, :stage] + 0.5 * state.proximal * (jnp.arange(stage) >= n).astype(scale.dtype)
@@ -287,11 +305,18 @@ def _model(
     return hessian / scale / scale[:, None], jnp.where(state.exact, pull, 0.0) / scale
 
 
-def _foretold(now: Residual, gradient, hessian, problem, stages, move, virtual) -> Residual:
-    """What the model makes of the point that a step leads to: feasible but for virtual control."""
+def _foretold(
+    problem: OptimalControlProblem, now: Residual, slope, hessian, stages, move, virtual
+) -> Residual:
+    """What the model makes of the point that a step leads to: feasible but for virtual control and buffer."""
     w = interval_inputs(problem, move)
-    cost = now.cost + jnp.vdot(gradient, stages) + 0.5 * jnp.einsum("iw,iwv,iv->", w, hessian, w)
-    return Residual(cost, virtual, tuple(jnp.full_like(v, 0.0) for v in now.values))
+    cost = now.cost + slope + 0.5 * jnp.einsum("iw,iwv,iv->", w, hessian, w)
+    lack = -stages[:-1, -1:, None] if buffered(problem) else jnp.zeros(())
+    values = tuple(
+        jnp.broadcast_to(jnp.zeros(()) if c.convex else lack, v.shape)
+        for c, v in zip(problem.constraints, now.values, strict=True)
+    )
+    return Residual(cost, virtual, values)
 
 
 def _adapted(state: NewtonState, ratio: Scalar, accept: Flag):

@@ -8,9 +8,11 @@ import jax.numpy as jnp
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
+from jaxscp.allocation import allocate
 from jaxscp.certificate import Certificate, acceptable, certify
 from jaxscp.initial_guess import initial_guess
-from jaxscp.landing import LandingScenario, allocate, landing_problem
+from jaxscp.landing import landing_problem
+from jaxscp.mission import LandingScenario
 from jaxscp.newton import NewtonSCP, NewtonState
 from jaxscp.problem import OptimalControlProblem, node_times
 from jaxscp.scp import SCP, History, SCPState

@@ -27,7 +27,8 @@ from jaxscp import rotations
 from jaxscp.certificate import Flight, fly
 from jaxscp.corridor.polytopes import Corridor, Polytope
 from jaxscp.corridor.shapes import polygons
-from jaxscp.landing import LandingScenario, landing_problem
+from jaxscp.landing import landing_problem
+from jaxscp.mission import LandingScenario
 from jaxscp.planner import Solution
 from jaxscp.status import status_names
 

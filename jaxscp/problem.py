@@ -4,8 +4,8 @@
     subject to  dx/dt = dynamics(x, u),  constraints at the nodes,  boundary conditions at both ends
 
 Scaled time tau runs from 0 to 1; the dilation s = dt/dtau is one more control, so that the final time is free
-and the mesh adapts. A node's variables are z = (x, u, s), or z = (x, phi, t, u, s) for an extended
-problem, where phi is the running cost so far.
+and the mesh adapts. A node's variables are z = (x, u, s); where the problem carries them as states, the running
+cost so far, phi, and the time, t, come after x.
 """
 
 from collections.abc import Callable
@@ -63,25 +63,31 @@ class OptimalControlProblem(eqx.Module):
     dilation_max: Scalar
     """Greatest dt/dtau in seconds."""
     nodes: int = eqx.field(static=True)
-    extended: bool = eqx.field(default=False, static=True)
-    """Whether running cost and time are states (equation 11): needed where a constraint or a boundary uses
-    time, and part of the paper's trust region. Otherwise both are eliminated, being linear in the rest."""
+    carries_cost: bool = eqx.field(default=False, static=True)
+    """Whether the running cost so far is a state (equation 11). It is linear in the rest, so this changes nothing
+    but what the paper's trust region counts."""
+    carries_time: bool = eqx.field(default=False, static=True)
+    """Whether time is a state (equation 11): needed where a constraint or a boundary uses time."""
 
     @property
     def state_size(self) -> int:
-        """Physical states and, if extended, running cost and time."""
-        return self.dynamics.state_size + 2 * int(self.extended)
+        """Physical states, and running cost and time where the problem carries them."""
+        return self.dynamics.state_size + self.carries_cost + self.carries_time
 
     @property
     def variables(self) -> int:
         """Size of z at one node."""
         return self.state_size + self.dynamics.control_size + 1
 
+    def split_state(self, state: Float[Array, "states"]):
+        """A whole state as (physical state, time or None)."""
+        n = self.dynamics.state_size
+        return state[:n], state[n + self.carries_cost] if self.carries_time else None
+
     def split(self, z: Float[Array, "variables"]):
         """A node's variables as (state, time or None, control, dilation)."""
-        n, m = self.dynamics.state_size, self.dynamics.control_size
-        time = z[n + 1] if self.extended else None
-        return z[:n], time, z[-m - 1 : -1], z[-1]
+        state, time = self.split_state(z[: self.state_size])
+        return state, time, z[-self.dynamics.control_size - 1 : -1], z[-1]
 
     def join(
         self,
@@ -91,22 +97,23 @@ class OptimalControlProblem(eqx.Module):
     ) -> Float[Array, "nodes variables"]:
         """Stack a trajectory into node variables."""
         parts = [states, controls, dilation[:, None]]
-        if self.extended:
+        if self.carries_time:
+            parts.insert(1, integrate_nodes(dilation)[:, None])
+        if self.carries_cost:
             rate = jax.vmap(lambda x, u: self.running_cost(x, u, self.weights))(states, controls)
-            parts[1:1] = [integrate_nodes(rate * dilation)[:, None], integrate_nodes(dilation)[:, None]]
+            parts.insert(1, integrate_nodes(rate * dilation)[:, None])
         return jnp.concatenate(parts, axis=1)
 
     def rate(
         self, state: Float[Array, "states"], control: Float[Array, "controls"]
     ) -> tuple[Float[Array, "states"], Scalar]:
-        """d/dtau of the (extended) state and of the running cost, at a control with the dilation last."""
+        """d/dtau of the whole state and of the running cost, at a control with the dilation last."""
         n = self.dynamics.state_size
         u, s = control[:-1], control[-1]
         derivative = s * self.dynamics(state[:n], u)
         cost = s * self.running_cost(state[:n], u, self.weights)
-        if self.extended:
-            derivative = jnp.concatenate([derivative, cost[None], s[None]])
-        return derivative, cost
+        carried = [cost[None]] * self.carries_cost + [s[None]] * self.carries_time
+        return jnp.concatenate([derivative, *carried]), cost
 
 
 def node_times(dilation: Nodes) -> Nodes:

@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxscp.airframes import paper_mav
 from jaxscp.corridor.polytopes import Corridor, box, connect
-from jaxscp.landing import BodyState, LandingScenario, Weights, at_rest
+from jaxscp.mission import BodyState, LandingScenario, Weights, at_rest
 from jaxscp.types import Points
 
 _SPACING = 0.15  # m between obstacle points

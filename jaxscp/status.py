@@ -53,6 +53,10 @@ class Status(eqx.Enumeration):
         "No flight was found that obeys the dynamics: virtual control remains. Likely causes: the final time or "
         "thrust limits make the task impossible, or the corridor forces too sharp a turn. Another guess may help."
     )
+    constraints_unmet = (
+        "No flight was found that keeps a constraint that is not convex: virtual buffer remains. Likely causes: "
+        "keep-out zones block the corridor, or the guess passes them on the wrong side."
+    )
     refuted = (
         "The solver met its tolerances, but the independent certificate disagrees: see its report for "
         "which check failed."
@@ -72,6 +76,7 @@ _NAMES = (
     "insufficient_progress",
     "numerical_error",
     "dynamics_unmet",
+    "constraints_unmet",
     "refuted",
     "invalid_input",
 )

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxscp.landing import LandingScenario
+from jaxscp.mission import LandingScenario
 from jaxscp.types import Flag
 
 CLEARANCE = 1e-6  # m by which start and goal may miss their polytope, for rounding
@@ -83,6 +83,11 @@ def _check_types(scenario: LandingScenario, nodes: int) -> None:
         raise InvalidScenario(
             f"corridor: {polytopes} polytopes need at least {polytopes + 1} nodes, one interval each, not {nodes}."
         )
+    if scenario.gates is not None and scenario.gates.centres.shape[0] > nodes - 2:
+        raise InvalidScenario(
+            f"gates: {scenario.gates.centres.shape[0]} gates need a node each between the first and the last; there "
+            f"are {nodes - 2}."
+        )
 
 
 def named_leaves(scenario: LandingScenario):
@@ -111,6 +116,21 @@ def _expected_shapes(s: LandingScenario):
     yield "corridor.joints", s.corridor.joints, (max(polytopes - 1, 0), 3)
     for name in ("cone_angle", "dilation_min", "dilation_max"):
         yield name, getattr(s, name), ()
+    for name in ("speed", "tilt", "body_rate", "thrust_rate"):
+        if getattr(s.limits, name) is not None:
+            yield f"limits.{name}", getattr(s.limits, name), ()
+    for name in ("keep_out", "gates"):
+        zones = getattr(s, name)
+        if zones is not None:
+            count = zones.centres.shape[0] if zones.centres.ndim else 0
+            yield f"{name}.centres", zones.centres, (count, 3)
+            yield f"{name}.shapes", zones.shapes, (count, 3, 3)
+    if s.deck_velocity is not None:
+        yield "deck_velocity", s.deck_velocity, (3,)
+    for name in ("start_fixed", "goal_fixed"):
+        if getattr(s, name) is not None:
+            for part in ("position", "velocity", "attitude", "body_rate"):
+                yield f"{name}.{part}", getattr(getattr(s, name), part), (3,)
     yield "weights.control", s.weights.control, ()
     yield "weights.time", s.weights.time, ()
 
@@ -125,7 +145,9 @@ def rules(s: LandingScenario, xp):
     yield from _vehicle_rules(s, xp)
     yield from _limit_rules(s, xp)
     yield from _corridor_rules(s, xp)
-    yield from _cone_rules(s, xp)
+    yield from _flight_limit_rules(s, xp)
+    yield from _zone_rules(s, xp)
+    yield from _component_rules(s, xp)
 
 
 def _vehicle_rules(s: LandingScenario, xp):
@@ -224,6 +246,58 @@ def _bounded(normals, xp):
     return full_rank & ~xp.any(open_ray & proper, axis=-1)
 
 
-def _cone_rules(s: LandingScenario, xp):
-    """The goal is the cone's apex, so it is inside; the vehicle must not have to come from below."""
-    return iter(())
+def _flight_limit_rules(s: LandingScenario, xp):
+    """Limits are positive, and both ends within them as far as they are fixed."""
+    sizes = {"speed": ("velocity", "m/s"), "body_rate": ("body_rate", "rad/s")}
+    for name in ("speed", "tilt", "body_rate", "thrust_rate"):
+        limit = getattr(s.limits, name)
+        if limit is None:
+            continue
+        yield Rule(limit > 0, f"limits.{name}: must be positive, got {limit}.")
+        for end, fixed in (("start", s.start_fixed), ("goal", s.goal_fixed)):
+            if name not in sizes or fixed is not None:
+                continue
+            part, unit = sizes[name]
+            size = xp.sqrt(xp.sum(getattr(getattr(s, end), part) ** 2))
+            yield Rule(size <= limit, f"{end}.{part}: {size} {unit} is beyond limits.{name}, {limit} {unit}.")
+    if s.limits.tilt is not None:
+        yield Rule(
+            s.limits.tilt < np.pi, f"limits.tilt: must be below pi radians, got {s.limits.tilt}; in degrees?"
+        )
+        for end, fixed in (("start", s.start_fixed), ("goal", s.goal_fixed)):
+            across = xp.sum(getattr(s, end).attitude[1:3] ** 2)
+            inside = across <= xp.sin(0.5 * s.limits.tilt) ** 2 + CLEARANCE
+            yield Rule(inside | (fixed is not None), f"{end}.attitude: tilted by more than limits.tilt.")
+
+
+def _zone_rules(s: LandingScenario, xp):
+    for name in ("keep_out", "gates"):
+        zones = getattr(s, name)
+        if zones is not None:
+            yield Rule(
+                xp.all(xp.abs(xp.linalg.det(zones.shapes)) > 0),
+                f"{name}.shapes: a matrix is singular; semi-axes must be finite (jaxscp.ellipsoids makes them).",
+            )
+    if s.keep_out is not None:
+        for end, fixed in (("start", s.start_fixed), ("goal", s.goal_fixed)):
+            away = xp.einsum("zrc,zc->zr", s.keep_out.shapes, getattr(s, end).position - s.keep_out.centres)
+            outside = xp.all(xp.sum(away**2, axis=-1) >= 1.0)
+            yield Rule(outside | (fixed is not None), f"{end}.position: lies inside a zone of keep_out.")
+    if s.gates is not None:
+        heights = xp.einsum("kfc,gc->gkf", s.corridor.normals, s.gates.centres) - s.corridor.offsets
+        yield Rule(
+            xp.all(xp.any(xp.all(heights <= CLEARANCE, axis=-1), axis=-1)),
+            "gates.centres: a gate's centre lies outside every polytope of the corridor.",
+        )
+
+
+def _component_rules(s: LandingScenario, xp):
+    for name in ("start_fixed", "goal_fixed"):
+        parts = getattr(s, name)
+        if parts is not None:
+            for part in ("position", "velocity", "attitude", "body_rate"):
+                value = getattr(parts, part)
+                yield Rule(
+                    xp.all((value == 0) | (value == 1)),
+                    f"{name}.{part}: each component is one (fixed) or zero (free), got {value}.",
+                )

@@ -4,7 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxscp import scenarios
-from jaxscp.landing import allocate, landing_problem
+from jaxscp.allocation import allocate
+from jaxscp.landing import landing_problem
 
 NODES = 8
 

@@ -167,7 +167,7 @@ def test_error_falls_with_the_fourth_power_of_the_substeps(quadrotor):
 def test_extended_problem_carries_cost_and_time(quadrotor):
     problem, z = quadrotor
     object_fields = {f: getattr(problem, f) for f in problem.__dataclass_fields__}
-    extended = type(problem)(**{**object_fields, "extended": True})
+    extended = type(problem)(**{**object_fields, "carries_cost": True, "carries_time": True})
     parts = jax.vmap(problem.split)(z)
     wide = extended.join(parts[0], parts[2], parts[3])
     plain, carried = discretise(problem, z, 10), discretise(extended, wide, 10)

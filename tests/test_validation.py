@@ -1,5 +1,7 @@
 """Bad input gets an error that names the field, before anything is compiled; in a batch, a status of its own."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -62,6 +64,33 @@ def test_error_names_the_field(scenario, name):
     value = far(scenario.corridor) if change is None else change(where(scenario))
     with jax.disable_jit(False), pytest.raises(InvalidScenario, match=field.replace(".", r"\.")):
         jaxscp.Planner(nodes=NODES)(eqx.tree_at(where, scenario, value))
+
+
+ball = jaxscp.ellipsoids
+BAD_PARTS = {
+    "speed": ({"limits": jaxscp.flight_limits(speed=-1.0)}, "limits.speed"),
+    "tilt in degrees": ({"limits": jaxscp.flight_limits(tilt=30.0)}, "limits.tilt"),
+    "NaN limit": ({"limits": jaxscp.flight_limits(body_rate=float("nan"))}, "limits.body_rate"),
+    "start in zone": ({"keep_out": ball([[0.0, 0.0, 1.0]], 0.5)}, "start.position"),
+    "flat zone": ({"keep_out": ball([[2.0, 2.0, 1.5]], [[0.1, 0.1, np.inf]])}, "keep_out.shapes"),
+    "gate elsewhere": ({"gates": ball([[90.0, 0.0, 1.0]], 0.5)}, "gates.centres"),
+    "too many gates": ({"gates": ball([[1.5, 2.0, 1.5]] * 19, 0.5)}, "gates"),
+    "deck": ({"deck_velocity": jnp.array([1.0, jnp.inf, 0.0])}, "deck_velocity"),
+    "half fixed": ({"goal_fixed": jaxscp.fixed(velocity=0.5)}, "goal_fixed.velocity"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_PARTS)
+def test_error_names_the_optional_part(scenario, name):
+    change, field = BAD_PARTS[name]
+    with pytest.raises(InvalidScenario, match=field.replace(".", r"\.")):
+        jaxscp.Planner(nodes=NODES)(dataclasses.replace(scenario, **change))
+
+
+def test_start_beyond_a_limit(scenario):
+    fast = eqx.tree_at(lambda s: s.start.velocity, scenario, jnp.array([3.0, 0.0, 0.0]))
+    with pytest.raises(InvalidScenario, match=r"start\.velocity"):
+        jaxscp.Planner(nodes=NODES)(dataclasses.replace(fast, limits=jaxscp.flight_limits(speed=2.0)))
 
 
 @pytest.mark.parametrize(("nodes", "field"), [(1, "nodes"), (0, "nodes"), (3, "corridor")])

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 from scipy.integrate import simpson
 
 from benchmarks.rivals.problem import Flags, Floats, LandingArrays, extended_controls
+from jaxscp.allocation import allocate
 from jaxscp.constraints import (
     Constraint,
     HalfSpaces,
@@ -25,7 +26,8 @@ from jaxscp.constraints import (
 from jaxscp.convexify import NormTrustRegion
 from jaxscp.dynamics import RigidBody
 from jaxscp.initial_guess import initial_guess
-from jaxscp.landing import LandingScenario, Weights, allocate, effort, flight_time, landing_problem
+from jaxscp.landing import effort, flight_time, landing_problem
+from jaxscp.mission import LandingScenario, Weights
 from jaxscp.problem import Boundary, FixedComponents, OptimalControlProblem, fixed_components
 from jaxscp.scp import SCP
 
@@ -52,7 +54,8 @@ def as_problem(arrays: LandingArrays) -> tuple[OptimalControlProblem, Float[Arra
         dilation_min=jnp.asarray(arrays.dilation_min, float),
         dilation_max=jnp.asarray(arrays.dilation_max, float),
         nodes=arrays.nodes,
-        extended=True,
+        carries_cost=True,
+        carries_time=True,
     )
     return problem, jnp.asarray(_node_variables(arrays))
 
@@ -119,7 +122,9 @@ def _constraints(arrays: LandingArrays) -> tuple[Constraint, ...]:
     everywhere = jnp.ones(nodes, bool)
     faces = HalfSpaces(jnp.asarray(arrays.normals), jnp.asarray(arrays.offsets))
     limits = Limits(jnp.asarray(arrays.thrust_min), jnp.asarray(arrays.thrust_max))
-    cone = LandingCone(jnp.asarray(arrays.cone_apex), jnp.asarray(arrays.cone_cotangent, float))
+    cone = LandingCone(
+        jnp.asarray(arrays.cone_apex), jnp.zeros(3), jnp.eye(3), jnp.asarray(arrays.cone_cotangent, float)
+    )
     return (
         Constraint(inside_half_spaces, faces, NonNegative(), everywhere, "corridor"),
         Constraint(
