@@ -23,7 +23,7 @@ from jaxscp.convexify import terminal_cost
 from jaxscp.correction import FIRM, HOLD, corrected
 from jaxscp.curvature import Chain, Convex, condensed, projected
 from jaxscp.discretise import interval_inputs
-from jaxscp.intervals import Grid, Linearisation, linearise
+from jaxscp.intervals import Grid, Linearisation, evaluate, linearise
 from jaxscp.lagrangian import (
     PathMultipliers,
     Residual,
@@ -48,6 +48,12 @@ from jaxscp.scp import History
 from jaxscp.status import Status, StatusCode, usable
 from jaxscp.types import Count, Flag, Scalar
 
+STEP_LENGTHS = (
+    1.0,
+    0.5,
+    0.2,
+)  # parts of a step that are tried, each corrected: far cheaper than another subproblem
+SHORTENED = (1.0, 2.0, 4.0)  # factors, at least, by which the proximal weight then grows
 MEMORY = 5  # accepted points whose worst merit a new one must beat
 EXACT_BELOW = 1e-3  # proximal weight from which on curvature is condensed
 EXACT_PROXIMAL = 0.02  # proximal weight to begin that with
@@ -155,18 +161,14 @@ class NewtonSCP(eqx.Module):
 
         multipliers = path_multipliers(problem, state.linear, solution.multipliers)
         move = node_step(problem, solution.z)
-        candidate = corrected(
-            problem,
-            state.z + move,
-            lifted_links(problem, state.z, state.linear, self.virtual_weight),
-            active_set(problem, state.linear, multipliers, scale),
-            clipped.hessian,
-            scale,
-            self.grid,
-            self.correction_rounds,
-        )
-        linear = linearise(problem, candidate, self.grid)
-        new = residual(linear.outputs, terminal_cost(problem, candidate), candidate)
+        links = lifted_links(problem, state.z, state.linear, self.virtual_weight)
+        held = active_set(problem, state.linear, multipliers, scale)
+
+        def attempt(length):
+            """The candidate after a part of the step, corrected, and its residual."""
+            metric, rounds = clipped.hessian, self.correction_rounds
+            z = corrected(problem, state.z + length * move, links, held, metric, scale, self.grid, rounds)
+            return z, residual(evaluate(problem, z, self.grid), terminal_cost(problem, z), z)
 
         virtual = program.virtual_control(solution.z)[1:-1, : problem.state_size]
         slope = jnp.vdot(cost_gradient(problem, state.z, state.linear), solution.z[:, : scale.shape[0]])
@@ -176,17 +178,24 @@ class NewtonSCP(eqx.Module):
             sizes = state.scale[: problem.state_size]
             return merit(problem, r, multipliers, self.merit_weight, sizes)
 
+        candidates, residuals = jax.vmap(attempt)(jnp.array(STEP_LENGTHS))
+        merits = jnp.nan_to_num(jax.vmap(judge)(residuals), nan=jnp.inf)
         gain = judge(now) - judge(foretold)
         settled = jnp.abs(gain) <= ROUNDING * (1.0 + jnp.abs(now.cost))
-        ratio = jnp.where(settled, 1.0, (judge(now) - judge(new)) / jnp.maximum(jnp.abs(gain), 1e-12))
         worst = jnp.max(jax.vmap(judge)(state.past))
+        better = worst - merits >= 1e-4 * jnp.abs(gain)
+        chosen = jnp.argmax(better)  # the longest that is good enough; the whole step if none is
+        candidate, new = jax.tree.map(lambda v: v[chosen], (candidates, residuals))
+        linear = linearise(problem, candidate, self.grid)
+
+        ratio = jnp.where(settled, 1.0, (judge(now) - merits[0]) / jnp.maximum(jnp.abs(gain), 1e-12))
         finite = jnp.all(
             jnp.stack([jnp.all(jnp.isfinite(v)) for v in jax.tree.leaves((new, linear, multipliers))])
         )
         good = usable(solution.status) & finite
-        accept = good & ((worst - judge(new) >= 1e-4 * jnp.abs(gain)) | settled)
+        accept = good & (better[chosen] | settled)
 
-        proximal, exact = _adapted(state, ratio, accept)
+        proximal, exact = _adapted(state, ratio, accept, chosen)
         choose = lambda a, b: jax.tree.map(lambda p, q: jnp.where(accept, p, q), a, b)  # noqa: E731
         past = jax.tree.map(lambda p, v: jnp.concatenate([v[None], p[:-1]]), state.past, new)
         z, past = choose(candidate, state.z), choose(past, state.past)
@@ -319,11 +328,19 @@ def _foretold(
     return Residual(cost, virtual, values)
 
 
-def _adapted(state: NewtonState, ratio: Scalar, accept: Flag):
-    """Next proximal weight, and whether curvature is to be condensed."""
+def _adapted(state: NewtonState, ratio: Scalar, accept: Flag, chosen: Count):
+    """Next proximal weight, and whether curvature is to be condensed.
+
+    Args:
+        state: before the step.
+        ratio: of what the whole step gained and what the model foretold.
+        accept: whether any part of the step was taken.
+        chosen: which part.
+    """
     rough = jnp.where(ratio > 0.5, 0.2, jnp.where(ratio > 0.1, 1.0, 2.0))
     fine = jnp.where(ratio > 0.85, 0.2, jnp.where(ratio > 0.6, 0.5, jnp.where(ratio > 0.2, 1.0, 3.0)))
     factor = jnp.where(state.exact, fine, rough)
+    factor = jnp.where(chosen > 0, jnp.maximum(factor, jnp.array(SHORTENED)[chosen]), factor)
     factor = jnp.where(accept, factor, jnp.where(state.exact, 5.0, 8.0))
     proximal = jnp.maximum(state.proximal * factor, LEAST_PROXIMAL)
     begin = accept & ~state.exact & (proximal < EXACT_BELOW) & (ratio > 0.5)

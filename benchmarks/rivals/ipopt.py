@@ -293,7 +293,7 @@ def solve(
     lines: list[IpoptStart] = []
     answers: list[Floats] = []
     for start in range(starts):
-        columns, line = _solve_from(transcription, guess if start == 0 else _perturbed(guess, random))
+        columns, line = _solve_from(transcription, guess if start == 0 else perturbed(guess, random))
         lines.append(line)
         answers.append(columns)
     solved = [i for i, line in enumerate(lines) if line.status == "Solve_Succeeded"]
@@ -311,7 +311,7 @@ def solve(
     )
 
 
-def _perturbed(guess: Floats, random: np.random.Generator) -> Floats:
+def perturbed(guess: Floats, random: np.random.Generator) -> Floats:
     """The guess with noise: metres per second and newtons by halves, attitude and metres by less."""
     noise = np.concatenate([np.full(3, 0.2), np.full(3, 0.5), np.full(4, 0.1), np.full(3, 0.3)])
     widths = np.concatenate([noise, np.full(guess.shape[1] - STATES - 1, 0.5), [0.0]])
