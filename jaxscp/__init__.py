@@ -4,6 +4,7 @@ from jaxscp import airframes as airframes
 from jaxscp import corridor as corridor
 from jaxscp import scenarios as scenarios
 from jaxscp.certificate import Certificate as Certificate
+from jaxscp.certificate import acceptable as acceptable
 from jaxscp.certificate import certify as certify
 from jaxscp.convexify import NormTrustRegion as NormTrustRegion
 from jaxscp.convexify import ProximalTrustRegion as ProximalTrustRegion

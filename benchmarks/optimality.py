@@ -1,0 +1,250 @@
+"""How close to the optimum, how safe, in how many subproblems: ours against CasADi and IPOPT, side by side.
+
+The suite: both missions, an L-shaped and the three-box corridor, a moving deck, a keep-out ball and random variations
+of the missions, each with w_t = 0 and w_t = 5. IPOPT solves the identical transcription (same nodes, integration,
+points between the nodes and margins) from four starts; ours starts from the standard guess alone. Afterwards, random
+instances, a tenth of them infeasible by construction, are planned and judged by the certificate.
+
+    python -m benchmarks.optimality [--json] [--random 1000] [--instances 40] [--starts 4] [--workers 2]
+"""
+
+import argparse
+import dataclasses
+import json
+import multiprocessing
+import sys
+import time
+from concurrent.futures import ProcessPoolExecutor
+from typing import Any
+
+import jax
+
+jax.config.update("jax_enable_x64", True)
+
+import equinox as eqx  # noqa: E402
+import jax.numpy as jnp  # noqa: E402
+import numpy as np  # noqa: E402
+
+import jaxscp  # noqa: E402
+from benchmarks.rivals.convert import as_arrays  # noqa: E402
+from benchmarks.rivals.optimum import Extras, Optimum, Start, best  # noqa: E402
+from benchmarks.rivals.problem import LandingArrays  # noqa: E402
+from jaxscp import LandingScenario, scenarios, status_names  # noqa: E402
+from jaxscp.corridor.polytopes import Corridor, box, connect  # noqa: E402
+from tests.random_instances import random_instances  # noqa: E402
+
+NODES = 30
+PRICES = (0.0, 5.0)  # w_t
+PERCENT = {"share_within_0.1_percent": 1e-3, "share_within_1_percent": 1e-2}
+BALL, BALL_RADIUS = (5.0, 0.5, 1.6), 0.6
+DECK_VELOCITY = (0.3, -0.1, 0.1)
+TOO_SHORT = 0.6  # s: at full thrust, and falling freely, no instance gets as far as its goal
+NO_EXTRAS = Extras()
+DISTANCES = ("corridor", "landing cone", "keep-out")
+
+
+@dataclasses.dataclass(frozen=True)
+class Case:
+    """One problem of the suite."""
+
+    name: str
+    scenario: LandingScenario
+    extras: Extras = NO_EXTRAS
+
+
+def l_shaped() -> LandingScenario:
+    """One right-angled corner, 4 m and then 5 m long."""
+    corridor = connect(
+        [box([-1.0, -1.0, 0.5], [5.0, 1.0, 3.0]), box([3.0, -1.0, 0.5], [5.0, 6.0, 3.0])],
+        joints=[[4.0, 0.0, 1.5]],
+    )
+    return _through(corridor, [0.0, 0.0, 1.0], [4.0, 5.0, 1.0])
+
+
+def three_box() -> LandingScenario:
+    """Two right-angled corners."""
+    boxes = [
+        box([-1.0, -1.0, -0.2], [4.2, 1.2, 3.0]),
+        box([2.8, -1.0, -0.2], [4.2, 5.2, 3.0]),
+        box([2.8, 3.8, -0.2], [9.0, 5.2, 3.0]),
+    ]
+    return _through(
+        connect(boxes, joints=[[3.5, 0.2, 1.5], [3.5, 4.5, 1.5]]), [0.0, 0.0, 1.0], [8.0, 4.5, 0.5]
+    )
+
+
+def _through(corridor: Corridor, start, goal) -> LandingScenario:
+    base = scenarios.ascent_to_platform()
+    ends = jaxscp.at_rest(start), jaxscp.at_rest(goal)
+    return eqx.tree_at(lambda s: (s.start, s.goal, s.corridor), base, (*ends, corridor))
+
+
+def suite(instances: int) -> list[Case]:
+    """Every case, at every price of time."""
+    missions = [scenarios.platform_to_platform, scenarios.ascent_to_platform]
+    platform, ascend = (mission() for mission in missions)
+    ball = jaxscp.ellipsoids([BALL], BALL_RADIUS)
+    deck = dataclasses.replace(ascend, deck_velocity=jnp.array(DECK_VELOCITY))
+    cases = [
+        Case("platform", platform),
+        Case("ascend", ascend),
+        Case("L-shaped", l_shaped()),
+        Case("three-box", three_box()),
+        Case("moving deck", deck, Extras(deck_velocity=DECK_VELOCITY)),
+        Case(
+            "keep-out ball",
+            dataclasses.replace(platform, keep_out=ball),
+            Extras(ball=BALL, ball_radius=BALL_RADIUS),
+        ),
+    ]
+    half = -(-instances // 2)
+    for name, mission, count in zip(("platform", "ascend"), missions, (half, instances - half), strict=True):
+        batch = random_instances(jax.random.key(1), max(count, 1), mission)
+        cases += [Case(f"{name} {i}", jax.tree.map(lambda v, i=i: v[i], batch)) for i in range(count)]
+    return [
+        dataclasses.replace(case, name=f"{case.name}, w_t {price:g}", scenario=_bare(case.scenario, price))
+        for case in cases
+        for price in PRICES
+    ]
+
+
+def _bare(scenario: LandingScenario, price: float) -> LandingScenario:
+    """Without the point cloud, which the solver does not read: one shape, so one compilation."""
+    scenario = dataclasses.replace(scenario, obstacles=None)
+    return eqx.tree_at(lambda s: s.weights.time, scenario, jnp.asarray(price))
+
+
+@dataclasses.dataclass(frozen=True)
+class Ours:
+    """What our planner made of a case."""
+
+    status: str
+    cost: float
+    iterations: int
+    seconds: float
+    violation: float
+    """Worst of the corridor, cone and keep-out, densely between the nodes, in m."""
+    limits: float
+    """Worst of all other limits, relative to what is allowed."""
+
+
+def plan(planner: jaxscp.Planner, scenario: LandingScenario) -> Ours:
+    """One plan, timed; compile first."""
+    began = time.perf_counter()
+    solution = jax.block_until_ready(planner(scenario))
+    seconds = time.perf_counter() - began
+    certificate = solution.certificate
+    between = dict(zip(certificate.names, np.asarray(certificate.between_nodes), strict=True))
+    allowed = dict(zip(certificate.names, np.asarray(certificate.allowed), strict=True))
+    return Ours(
+        status=str(status_names(solution.status)),
+        cost=float(solution.cost),
+        iterations=int(solution.iterations),
+        seconds=seconds,
+        violation=max((float(v) for n, v in between.items() if n in DISTANCES), default=0.0),
+        limits=max((float(v / allowed[n]) for n, v in between.items() if n not in DISTANCES), default=0.0),
+    )
+
+
+def reference(arrays: LandingArrays, extras: Extras, starts: int) -> list[Start]:
+    """IPOPT's starts, for a worker process."""
+    return Optimum(arrays, extras).solve(starts)
+
+
+def arrays_of(scenario: LandingScenario) -> LandingArrays:
+    """The rivals' form; what it cannot hold goes by ``Extras``."""
+    return as_arrays(dataclasses.replace(scenario, keep_out=None, deck_velocity=None), NODES)
+
+
+def compare(instances: int, starts: int, workers: int, echo: Any) -> dict[str, Any]:
+    """Plan the suite, have IPOPT solve it, and print both."""
+    cases, planner = suite(instances), jaxscp.Planner(nodes=NODES, method=jaxscp.NewtonSCP())
+    with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+        ours = []
+        for case in cases:
+            plan(planner, case.scenario)  # compiles, for the first of a shape
+            ours.append(plan(planner, case.scenario))
+        tasks = [pool.submit(reference, arrays_of(c.scenario), c.extras, starts) for c in cases]
+        echo(
+            f"{'case':24} {'status':22} {'ours':>8} {'IPOPT':>8} {'gap %':>7} {'subpr.':>6} {'iter.':>6} "
+            f"{'s':>6} {'s':>6} {'violation mm':>12}"
+        )
+        rows = []
+        for case, mine, task in zip(cases, ours, tasks, strict=True):
+            theirs = task.result()
+            optimum = best(theirs)
+            gap = mine.cost / optimum - 1.0
+            rows.append({"case": case.name, "gap": gap, "optimum": optimum, **dataclasses.asdict(mine)})
+            echo(
+                f"{case.name:24} {mine.status:22} {mine.cost:8.4f} {optimum:8.4f} {100 * gap:7.3f} "
+                f"{mine.iterations:6d} {theirs[0].iterations:6d} {mine.seconds:6.2f} {theirs[0].seconds:6.1f} "
+                f"{1e3 * mine.violation:12.3f}"
+            )
+    good = [row for row in rows if row["status"] == "converged"]
+    counts = [row["iterations"] for row in rows]
+    shares = {name: sum(row["gap"] <= share for row in good) / len(rows) for name, share in PERCENT.items()}
+    return {
+        **shares,
+        "median_iterations": float(np.median(counts)),
+        "p95_iterations": float(np.percentile(counts, 95)),
+        "worst_violation_m": max((row["violation"] for row in good), default=0.0),
+        "worst_limit_relative_to_allowed": max((row["limits"] for row in good), default=0.0),
+        "converged": len(good),
+        "cases": rows,
+    }
+
+
+def survey(count: int, echo: Any) -> dict[str, Any]:
+    """Random instances, every tenth infeasible; what the planner says of them and what is true."""
+    planner = jaxscp.Planner(nodes=NODES, method=jaxscp.NewtonSCP())
+    missions = (scenarios.platform_to_platform, scenarios.ascent_to_platform)
+    batches = [random_instances(jax.random.key(2), -(-count // 2), mission) for mission in missions]
+    seen: dict[str, dict[str, int]] = {"feasible": {}, "infeasible": {}}
+    refuted, not_finite, iterations = 0, 0, []
+    for i in range(count):
+        scenario = _bare(jax.tree.map(lambda v: v[i // 2], batches[i % 2]), PRICES[(i // 2) % 2])  # noqa: B023
+        kind = "infeasible" if i % 10 == 9 else "feasible"
+        if kind == "infeasible":
+            scenario = eqx.tree_at(lambda s: s.dilation_max, scenario, jnp.asarray(TOO_SHORT))
+        solution = planner(scenario)
+        status = str(status_names(solution.status))
+        seen[kind][status] = seen[kind].get(status, 0) + 1
+        certificate = solution.certificate
+        agrees = bool(jaxscp.acceptable(certificate)) and kind == "feasible"
+        refuted += status == "converged" and not agrees
+        not_finite += not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(solution))
+        iterations.append(int(solution.iterations))
+    for kind, statuses in seen.items():
+        echo(f"{kind} random instances: " + ", ".join(f"{n} {s}" for s, n in sorted(statuses.items())))
+    return {
+        "refuted_converged": refuted,
+        "feasible_called_infeasible": seen["feasible"].get("infeasible", 0),
+        "not_finite": not_finite,
+        "random_statuses": seen,
+        "random_median_iterations": float(np.median(iterations)) if iterations else None,
+    }
+
+
+def main() -> None:
+    """Run both parts."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument("--instances", type=int, default=40, help="random instances in the suite")
+    parser.add_argument("--random", type=int, default=1000, help="random instances afterwards")
+    parser.add_argument("--starts", type=int, default=4, help="of IPOPT, for each case")
+    parser.add_argument("--workers", type=int, default=2, help="processes for IPOPT")
+    wanted = parser.parse_args()
+
+    def echo(line: str) -> None:
+        print(line, file=sys.stderr if wanted.json else sys.stdout, flush=True)
+
+    result = compare(wanted.instances, wanted.starts, wanted.workers, echo)
+    result |= survey(wanted.random, echo)
+    if wanted.json:
+        print(json.dumps(result))
+    else:
+        echo("\n".join(f"{k}: {v}" for k, v in result.items() if k not in ("cases", "random_statuses")))
+
+
+if __name__ == "__main__":
+    main()
