@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxscp.active_set import ActiveSet, nearest_dilation_limit, slacks
+from jaxscp.active_set import ActiveSet, slacks
 from jaxscp.conic import block_tridiagonal
 from jaxscp.conic.program import Links
 from jaxscp.intervals import Grid, evaluate
@@ -35,7 +35,7 @@ def corrected(
     grid: Grid,
     rounds: int,
     hold: float = HOLD,
-    attract: bool = True,
+    rest: Float[Array, "intervals conditions"] | None = None,
 ) -> Float[Array, "nodes variables"]:
     """The candidate, moved towards the true dynamics.
 
@@ -49,30 +49,23 @@ def corrected(
         grid: of the integration.
         rounds: of the chord method.
         hold: price of leaving an active constraint, in scaled units.
-        attract: whether to pull towards active constraints what has moved off them into the safe side.
+        rest: slack that active constraints are to be left with; by default what they have, if any.
 
     Returns:
         The corrected candidate; or the candidate itself, should that lack less.
     """
     states = problem.state_size
     solve = _least_step(links, _held(metric, active, states, problem.variables, hold), scale)
-    lacking = (lambda s: s) if attract else (lambda s: jnp.minimum(s, 0.0))
-    dilation_pull = 1.0 if attract else 0.0  # nothing may leave its limits, dilation least of all: see below
 
     def round_(z, _):
         out = evaluate(problem, z, grid)
         lack = jnp.zeros_like(links.offset).at[1:-1, :states].set(z[1:, :states] - out.end)
         missed = end_condition(problem, z[-1, :states])[1]
         lack = lack.at[-1, : missed.shape[0]].set(-missed)
-        pull = (
-            jnp.zeros((problem.nodes, scale.shape[0])).at[:-1].set(active.pull(lacking(slacks(problem, out))))
-        )
-        beyond = (
-            dilation_pull
-            * (z[:, -1] - nearest_dilation_limit(problem, z[:, -1]))
-            / scale[problem.variables - 1]
-        )
-        pull = pull.at[:, problem.variables - 1].add(active.dilation * beyond)
+        slack = slacks(problem, out)
+        slack = jnp.minimum(slack, 0.0) if rest is None else slack - rest
+        # Dilation needs no pull: its limits are linear, so that the candidate keeps them.
+        pull = jnp.zeros((problem.nodes, scale.shape[0])).at[:-1].set(active.pull(slack))
         step = solve(hold * pull, lack)
         dilation = jnp.clip(
             z[:, -1] + step[:, problem.variables - 1], problem.dilation_min, problem.dilation_max

@@ -163,11 +163,13 @@ class NewtonSCP(eqx.Module):
         move = node_step(problem, solution.z)
         links = lifted_links(problem, state.z, state.linear, self.virtual_weight)
         held = active_set(problem, state.linear, multipliers, scale)
+        slack = slacks(problem, state.linear.outputs)
 
         def attempt(length):
             """The candidate after a part of the step, corrected, and its residual."""
-            metric, rounds = clipped.hessian, self.correction_rounds
-            z = corrected(problem, state.z + length * move, links, held, metric, scale, self.grid, rounds)
+            z, rest = state.z + length * move, (1.0 - length) * slack
+            args = (clipped.hessian, scale, self.grid, self.correction_rounds)
+            z = corrected(problem, z, links, held, *args, rest=rest)
             return z, residual(evaluate(problem, z, self.grid), terminal_cost(problem, z), z)
 
         virtual = program.virtual_control(solution.z)[1:-1, : problem.state_size]
@@ -261,9 +263,7 @@ class NewtonSCP(eqx.Module):
             z, linear = carry
             links = lifted_links(problem, z, linear, self.virtual_weight)
             near = near_limits(problem, linear, z[:, -1], scale)
-            z = corrected(
-                problem, z, links, near, metric, scale, self.grid, self.correction_rounds, FIRM, attract=False
-            )
+            z = corrected(problem, z, links, near, metric, scale, self.grid, self.correction_rounds, FIRM)
             return z, linearise(problem, z, self.grid)
 
         z, linear = jax.lax.fori_loop(0, rounds, once, (state.z, state.linear))

@@ -72,12 +72,12 @@ class Planner(eqx.Module):
                 compilation; inside them the lane's status is ``invalid_input``).
         """
         self._check(scenario)
-        return _plan(self, scenario)
+        return _plan(self, _strongly_typed(scenario))
 
     def replan(self, solution: Solution, scenario: LandingScenario) -> Solution:
         """Plan a changed scenario, starting from the solution of a like one."""
         self._check(scenario)
-        return _replan(self, scenario, solution.z, solution.allocation)
+        return _replan(self, _strongly_typed(scenario), solution.z, solution.allocation)
 
     def _check(self, scenario: LandingScenario) -> None:
         if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(scenario)):
@@ -114,6 +114,11 @@ class Planner(eqx.Module):
             z=state.z,
             allocation=allocation,
         )
+
+
+def _strongly_typed(scenario: LandingScenario) -> LandingScenario:
+    """Without weak types: else 0.5 from Python and 0.5 from an array would each compile a planner of their own."""
+    return jax.tree.map(lambda v: jnp.asarray(v, v.dtype), scenario)
 
 
 def trajectory_of(problem: OptimalControlProblem, z: Float[Array, "nodes variables"]) -> Trajectory:
