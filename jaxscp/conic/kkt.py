@@ -225,6 +225,8 @@ def solve(
         )
         return tree_axpy(1.0, dx, x), tree_axpy(1.0, dy, y)
 
+    if refinements == 0:
+        return _solve_once(program, scaling, factor, rx, ry)
     zero = jax.tree.map(jnp.zeros_like, (rx, ry))  # from here the first round solves, the others refine
     return jax.lax.fori_loop(0, 1 + refinements, refine, zero)
 
