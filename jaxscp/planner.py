@@ -18,7 +18,7 @@ from jaxscp.problem import OptimalControlProblem, node_times
 from jaxscp.scp import SCP, History, SCPState
 from jaxscp.status import Status, StatusCode
 from jaxscp.trajectory import Trajectory
-from jaxscp.types import Count, Scalar
+from jaxscp.types import Count, Flag, Scalar
 from jaxscp.validation import valid, validate
 
 
@@ -72,12 +72,12 @@ class Planner(eqx.Module):
                 compilation; inside them the lane's status is ``invalid_input``).
         """
         self._check(scenario)
-        return _plan(self, _strongly_typed(scenario))
+        return _solve(self, *_setup(self, scenario))
 
     def replan(self, solution: Solution, scenario: LandingScenario) -> Solution:
         """Plan a changed scenario, starting from the solution of a like one."""
         self._check(scenario)
-        return _replan(self, _strongly_typed(scenario), solution.z, solution.allocation)
+        return _solve(self, *_setup_again(self, scenario, solution.allocation), solution.z, solution.allocation)
 
     def _check(self, scenario: LandingScenario) -> None:
         if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(scenario)):
@@ -116,36 +116,38 @@ class Planner(eqx.Module):
         )
 
 
-def _strongly_typed(scenario: LandingScenario) -> LandingScenario:
-    """Without weak types: else 0.5 from Python and 0.5 from an array would each compile a planner of their own."""
-    return jax.tree.map(lambda v: jnp.asarray(v, v.dtype), scenario)
-
-
 def trajectory_of(problem: OptimalControlProblem, z: Float[Array, "nodes variables"]) -> Trajectory:
     """The trajectory that node variables stand for."""
     state, _, control, dilation = jax.vmap(problem.split)(z)
     return Trajectory(node_times(dilation), state, control, dilation)
 
 
-@functools.partial(jax.jit, static_argnums=0)
-def _plan(planner: Planner, scenario: LandingScenario) -> Solution:
-    problem, z, allocation = planner.setup(scenario)
-    return _solve(planner, scenario, problem, z, allocation)
+# Two compiled parts: what depends on the scenario's own shape (polytopes, say) is small, and all flights of as many
+# nodes and faces share the other, which is large.
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def _replan(planner: Planner, scenario: LandingScenario, z, allocation) -> Solution:
-    problem = landing_problem(scenario, allocation, planner.method.published)
-    return _solve(planner, scenario, problem, z, allocation)
+def _setup(planner: Planner, scenario: LandingScenario):
+    return _strongly_typed((valid(scenario), *planner.setup(scenario)))
 
 
-def _solve(
-    planner: Planner, scenario: LandingScenario, problem: OptimalControlProblem, z, allocation
-) -> Solution:
-    ok = valid(scenario)
+@functools.partial(jax.jit, static_argnums=0)
+def _setup_again(planner: Planner, scenario: LandingScenario, allocation):
+    return _strongly_typed(
+        (valid(scenario), landing_problem(scenario, allocation, planner.method.published))
+    )
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _solve(planner: Planner, ok: Flag, problem: OptimalControlProblem, z, allocation) -> Solution:
     state = planner.method.run(problem, z, ok)
     solution = planner.conclude(problem, state, allocation)
     return _blank_unless(ok, solution)
+
+
+def _strongly_typed(values):
+    """Without weak types: else 0.5 from Python and 0.5 from an array would each compile a solver of their own."""
+    return jax.tree.map(lambda v: jnp.asarray(v, jnp.result_type(v)), values)
 
 
 def _blank_unless(ok, solution: Solution) -> Solution:

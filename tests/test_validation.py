@@ -27,7 +27,7 @@ def _nothing_may_compile(request, monkeypatch):
     def compiled(*args):
         raise AssertionError("the planner was compiled before its input was checked")
 
-    monkeypatch.setattr(planner, "_plan", compiled)
+    monkeypatch.setattr(planner, "_setup", compiled)
 
 
 def far(corridor):
