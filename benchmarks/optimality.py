@@ -36,7 +36,7 @@ from tests.random_instances import random_instances  # noqa: E402
 NODES = 30
 PRICES = (0.0, 5.0)  # w_t
 PERCENT = {"share_within_0.1_percent": 1e-3, "share_within_1_percent": 1e-2}
-BALL, BALL_RADIUS = (5.0, 0.5, 1.6), 0.6
+BALL, BALL_RADIUS = (5.2, 0.4, 2.6), 0.6  # m: across the way of both optima without it
 DECK_VELOCITY = (0.3, -0.1, 0.1)
 TOO_SHORT = 0.6  # s: at full thrust, and falling freely, no instance gets as far as its goal
 NO_EXTRAS = Extras()

@@ -21,7 +21,6 @@ HOLD = (
     300.0  # usual price of leaving an active constraint, in scaled units: far above the curvature of the rest
 )
 _DAMPING = 1e-2  # keeps the metric positive definite
-FIRM = 1e7  # price that leaves nothing to see
 _TINY = 1e-9  # on the diagonal for link rows that say nothing
 
 
@@ -34,7 +33,7 @@ def corrected(
     scale: Float[Array, "inputs"],
     grid: Grid,
     rounds: int,
-    hold: float = HOLD,
+    hold: Scalar | float = HOLD,
     rest: Float[Array, "intervals conditions"] | None = None,
 ) -> Float[Array, "nodes variables"]:
     """The candidate, moved towards the true dynamics.
@@ -82,7 +81,7 @@ def _held(
     active: ActiveSet,
     states: int,
     variables: int,
-    hold: float,
+    hold: Scalar | float,
 ) -> Float[Array, "nodes inputs inputs"]:
     """The metric with a price on leaving active constraints; the last node's controls, whose limits no interval
     counts as its own, stay."""

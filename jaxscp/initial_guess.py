@@ -22,7 +22,10 @@ from jaxscp.types import Controls, Nodes, Scalar, States
 GUESS_CONIC = InteriorPoint(tolerance=1e-2, refinements=0, equilibration=1)
 GUESS_VIOLATION = 1e-2  # m, that such a guess may leave the corridor or the cone by
 
-COMFORTABLE_ACCELERATION = 1.5  # m/s^2: sets the guess's flight time, about 6 s for 10 m from rest to rest
+SHARE_OF_THRUST = (
+    0.4  # of what full thrust leaves after hovering: the guess's acceleration, which sets its flight time
+)
+LEAST_ACCELERATION = 0.5  # m/s^2
 
 
 class Guess(eqx.Module):
@@ -65,10 +68,15 @@ def initial_guess(scenario: LandingScenario, allocation: Int[Array, "intervals"]
 
 
 def guess_time(scenario: LandingScenario, allocation: Int[Array, "intervals"]) -> Scalar:
-    """Flight time of the guess in s: rest to rest along the route at a comfortable acceleration."""
+    """Flight time of the guess in s: from rest to rest along the route, at a comfortable acceleration."""
     route = route_positions(scenario.corridor, scenario.start.position, scenario.goal.position, allocation)
     length = jnp.sum(jnp.linalg.norm(jnp.diff(route, axis=0), axis=1))
-    duration = 2.0 * jnp.sqrt(length / COMFORTABLE_ACCELERATION)
+    body = scenario.airframe.body
+    lift = jnp.dot(body.thrust_map[2], scenario.airframe.thrust_max) / body.mass
+    spare = SHARE_OF_THRUST * (lift - jnp.linalg.norm(body.gravity))
+    duration = 2.0 * jnp.sqrt(length / jnp.maximum(spare, LEAST_ACCELERATION))
+    if scenario.limits.speed is not None:
+        duration = jnp.maximum(duration, 2.0 * length / scenario.limits.speed)
     return jnp.clip(duration, scenario.dilation_min, scenario.dilation_max)
 
 

@@ -3,7 +3,7 @@
 An interval's variables are w = (x_i, U_i, U_{i+1}): the state at its first node, and controls with their dilation
 at both. Path constraints hold at equally spaced points of every interval, its ends included, and between those
 points by a margin: where a value's second difference over three points is d, the value dips below the chord by
-d / 8 at most (to fourth order), so that much is asked for at the points.
+d / 8 at most (to fourth order), so that much, and a tenth more, is asked for at the points.
 """
 
 import equinox as eqx
@@ -15,6 +15,7 @@ from jaxscp.constraints import AcrossIntervals, AtNodes, Constraint, SecondOrder
 from jaxscp.discretise import interval_inputs, rk4_step
 from jaxscp.problem import OptimalControlProblem
 
+RESERVE = 1.1  # of the margin: what bends more between the points than at them. In 0.1 s, without it, 1.4 mm were lost
 _KINK = 1e-4  # m, or a value's unit: rounds the corner of max(0, d); a sixteenth of it may be missed
 
 
@@ -30,8 +31,8 @@ class Grid(eqx.Module):
     points: int = eqx.field(default=5, static=True)
 
     def __check_init__(self):
-        if self.points < 2 or self.substeps % self.points:
-            raise ValueError(f"points: {self.points} must be at least 2 and divide substeps, {self.substeps}")
+        if self.points < 3 or self.substeps % self.points:
+            raise ValueError(f"points: {self.points} must be at least 3 and divide substeps, {self.substeps}")
 
 
 class Outputs(eqx.Module):
@@ -143,7 +144,8 @@ def value_at(problem: OptimalControlProblem, constraint: Constraint, state, cont
 def _margin(values: Float[Array, "points rows"], second_order: bool) -> Float[Array, "points rows"]:
     """What a value may lack between points; a second-order cone's is all taken from its first component."""
     bend = jnp.diff(values, n=2, axis=0)
-    bend = jnp.concatenate([bend[:1], bend, bend[-1:]])
+    ends = 2.0 * bend[:1] - bend[1:2], 2.0 * bend[-1:] - bend[-2:-1]  # carried on in a straight line
+    bend = RESERVE * jnp.concatenate([ends[0], bend, ends[1]])
     if second_order:
         size = jnp.sqrt(jnp.sum(bend * bend, axis=1) + _KINK**2) - _KINK  # nothing at the apex
         return jnp.zeros_like(values).at[:, 0].set(size / 8.0 * jnp.sqrt(2.0))

@@ -20,7 +20,7 @@ from jaxscp.active_set import ActiveSet, active_set, near_limits, nearest_dilati
 from jaxscp.conic.interior_point import InteriorPoint
 from jaxscp.conic.program import ConicSolution, StagedProgram
 from jaxscp.convexify import terminal_cost
-from jaxscp.correction import FIRM, HOLD, corrected
+from jaxscp.correction import HOLD, corrected
 from jaxscp.curvature import Chain, Convex, condensed, projected
 from jaxscp.discretise import interval_inputs
 from jaxscp.intervals import Grid, Linearisation, evaluate, linearise
@@ -54,6 +54,8 @@ STEP_LENGTHS = (
     0.2,
 )  # parts of a step that are tried, each corrected: far cheaper than another subproblem
 SHORTENED = (1.0, 2.0, 4.0)  # factors, at least, by which the proximal weight then grows
+FINER = 3  # times the substeps, at the end
+FIRMNESS = (1e7, 1e7, 1e7, 1e4)  # prices of leaving a limit, at the end: so much leaves nothing to see
 MEMORY = 5  # accepted points whose worst merit a new one must beat
 EXACT_BELOW = 1e-3  # proximal weight from which on curvature is condensed
 EXACT_PROXIMAL = 0.02  # proximal weight to begin that with
@@ -76,7 +78,7 @@ class NewtonState(eqx.Module):
     exact: Flag
     """Whether curvature is condensed by now."""
     scale: Float[Array, "variables"]
-    """Typical sizes of a node's variables."""
+    """Typical sizes of a node's variables: the largest of the iterates so far, at least one."""
     cost: Scalar
     iterations: Count
     status: StatusCode
@@ -229,7 +231,7 @@ class NewtonSCP(eqx.Module):
             past=past,
             proximal=proximal,
             exact=exact,
-            scale=state.scale,
+            scale=jnp.maximum(state.scale, jnp.max(jnp.abs(z), axis=0)),
             cost=now.cost,
             iterations=state.iterations + 1,
             status=Status.where(optimal, Status.converged, status),
@@ -252,21 +254,24 @@ class NewtonSCP(eqx.Module):
         )
         return self.polish(problem, end)
 
-    def polish(self, problem: OptimalControlProblem, state: NewtonState, rounds: int = 3) -> NewtonState:
-        """Close what is left of the defects by Newton's method on them, without using up what is near a limit."""
+    def polish(self, problem: OptimalControlProblem, state: NewtonState) -> NewtonState:
+        """Close what is left of the defects by Newton's method on them, without using up what is near a limit; by
+        a finer integration, since optimal flights have long intervals in which the error of the usual one shows.
+        Where too much is near a limit for that, the last rounds may use up some."""
+        grid = Grid(FINER * self.grid.substeps, self.grid.points)
         scale = jnp.concatenate([state.scale, state.scale[problem.state_size :]])
         inputs = scale.shape[0]
         # Plain least change: the multipliers may be far from those of the point, if the loop was cut short.
         metric = jnp.broadcast_to(jnp.eye(inputs), (problem.nodes - 1, inputs, inputs))
 
-        def once(_, carry):
+        def once(carry, firmness):
             z, linear = carry
             links = lifted_links(problem, z, linear, self.virtual_weight)
             near = near_limits(problem, linear, z[:, -1], scale)
-            z = corrected(problem, z, links, near, metric, scale, self.grid, self.correction_rounds, FIRM)
-            return z, linearise(problem, z, self.grid)
+            z = corrected(problem, z, links, near, metric, scale, grid, self.correction_rounds, firmness)
+            return (z, linearise(problem, z, grid)), None
 
-        z, linear = jax.lax.fori_loop(0, rounds, once, (state.z, state.linear))
+        (z, linear), _ = jax.lax.scan(once, (state.z, state.linear), jnp.array(FIRMNESS))
         now = residual(linear.outputs, terminal_cost(problem, z), z)
         return eqx.tree_at(lambda s: (s.z, s.linear, s.cost), state, (z, linear, now.cost))
 

@@ -77,7 +77,9 @@ class Planner(eqx.Module):
     def replan(self, solution: Solution, scenario: LandingScenario) -> Solution:
         """Plan a changed scenario, starting from the solution of a like one."""
         self._check(scenario)
-        return _solve(self, *_setup_again(self, scenario, solution.allocation), solution.z, solution.allocation)
+        return _solve(
+            self, *_setup_again(self, scenario, solution.allocation), solution.z, solution.allocation
+        )
 
     def _check(self, scenario: LandingScenario) -> None:
         if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(scenario)):
@@ -133,9 +135,7 @@ def _setup(planner: Planner, scenario: LandingScenario):
 
 @functools.partial(jax.jit, static_argnums=0)
 def _setup_again(planner: Planner, scenario: LandingScenario, allocation):
-    return _strongly_typed(
-        (valid(scenario), landing_problem(scenario, allocation, planner.method.published))
-    )
+    return _strongly_typed((valid(scenario), landing_problem(scenario, allocation, planner.method.published)))
 
 
 @functools.partial(jax.jit, static_argnums=0)

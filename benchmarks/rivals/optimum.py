@@ -18,6 +18,7 @@ from benchmarks.rivals.problem import STATES, Floats, LandingArrays, extended_co
 
 SUBSTEPS, POINTS = 10, 5  # Runge-Kutta steps, and stretches between the points, of an interval
 KINK = 1e-4  # m; smooths max(0, d) in the margin
+RESERVE = 1.1  # of the margin
 CONE_ROUNDING = 1e-6  # m; smooths the cone's tip
 
 
@@ -170,9 +171,13 @@ def best(lines: list[Start]) -> float:
 
 
 def _bend(values: list[Any], j: int) -> Any:
-    """Second difference over three points; the end points take their neighbour's."""
-    middle = min(max(j, 1), len(values) - 2)
-    return values[middle - 1] - 2 * values[middle] + values[middle + 1]
+    """Second difference over three points with the reserve; carried on in a straight line to the end points."""
+    last = len(values) - 1
+    if j == 0:
+        return 2 * _bend(values, 1) - _bend(values, 2)
+    if j == last:
+        return 2 * _bend(values, last - 1) - _bend(values, last - 2)
+    return RESERVE * (values[j - 1] - 2 * values[j] + values[j + 1])
 
 
 def _with_margin(values: list[Any]) -> Iterator[Any]:
