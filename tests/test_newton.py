@@ -13,7 +13,8 @@ from jaxscp import NewtonSCP, Planner, scenarios, status_names
 from tests.flights import random_nodes, short_problem
 
 MISSIONS = {"platform": scenarios.platform_to_platform, "ascend": scenarios.ascent_to_platform}
-# Relative. The method ends where a step would gain 1e-4; the cost is flat there, and many such steps may be left.
+# Relative. The method ends where a step would gain 1e-4; the cost is flat there, and many such steps may be left. Where
+# short intervals lie is a choice with many local optima of nearly one cost: rounding decides between them.
 SAME_COST = 4e-3
 
 
@@ -44,7 +45,7 @@ def test_lanes_end_as_they_do_alone():
     assert list(status_names(batch.status)) == ["converged", "invalid_input", "converged"]
     for lane in (0, 2):
         alone = planner(make(masses[lane]))
-        np.testing.assert_allclose(batch.cost[lane], alone.cost, rtol=1e-3)
+        np.testing.assert_allclose(batch.cost[lane], alone.cost, rtol=SAME_COST)
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(batch))
 
 
