@@ -158,7 +158,7 @@ def arrays_of(scenario: LandingScenario) -> LandingArrays:
 
 def compare(instances: int, starts: int, workers: int, echo: Any) -> dict[str, Any]:
     """Plan the suite, have IPOPT solve it, and print both."""
-    cases, planner = suite(instances), jaxscp.Planner(nodes=NODES, method=jaxscp.NewtonSCP())
+    cases, planner = suite(instances), jaxscp.Planner(nodes=NODES)
     with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
         ours = []
         for case in cases:
@@ -197,7 +197,7 @@ def compare(instances: int, starts: int, workers: int, echo: Any) -> dict[str, A
 def survey(count: int, lanes: int, echo: Any) -> dict[str, Any]:
     """Random instances, every tenth infeasible, planned in batches; what the planner says of them and what is true."""
     # Without jit around it, its two compiled parts remain two, and the missions share the large one.
-    plan_all = jax.vmap(jaxscp.Planner(nodes=NODES, method=jaxscp.NewtonSCP()))
+    plan_all = jax.vmap(jaxscp.Planner(nodes=NODES))
     seen: dict[str, dict[str, int]] = {"feasible": {}, "infeasible": {}}
     refuted, not_finite, iterations, worst = 0, 0, [], 0.0
     missions = (scenarios.platform_to_platform, scenarios.ascent_to_platform)

@@ -21,7 +21,6 @@ from rich.table import Table
 from jaxscp import scenarios
 from jaxscp.convexify import NormTrustRegion, ProximalTrustRegion
 from jaxscp.mission import LandingScenario
-from jaxscp.newton import NewtonSCP
 from jaxscp.planner import Planner, Solution
 from jaxscp.scp import SCP
 from jaxscp.status import Status, status_names
@@ -33,9 +32,8 @@ CASES: dict[str, Callable[[], LandingScenario]] = {
 }
 
 MODES: dict[str, Callable[[int], Planner]] = {
-    "default": lambda nodes: Planner(nodes=nodes),
     # second derivatives, safe between nodes
-    "newton": lambda nodes: Planner(nodes=nodes, method=NewtonSCP()),
+    "default": lambda nodes: Planner(nodes=nodes),
     # Table I of the paper
     "paper": lambda nodes: Planner(nodes=nodes, method=SCP(NormTrustRegion(10.0), virtual_weight=1000.0)),
     # a light weight takes long steps, many of them

@@ -103,7 +103,7 @@ class NewtonSCP(eqx.Module):
 
     Example:
         >>> import jaxscp
-        >>> planner = jaxscp.Planner(nodes=20, method=jaxscp.NewtonSCP())
+        >>> planner = jaxscp.Planner(nodes=20, method=jaxscp.NewtonSCP())  # the default
         >>> solution = planner(jaxscp.scenarios.ascent_to_platform())
         >>> jaxscp.status_names(solution.status), bool(solution.certificate.violation < 1e-2)
         ('converged', True)

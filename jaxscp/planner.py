@@ -49,7 +49,7 @@ class Planner(eqx.Module):
 
     Args:
         nodes: N; the flight has N - 1 intervals.
-        method: the SCP settings.
+        method: ``NewtonSCP()`` (local optima, safe between the nodes), or ``SCP()`` (the paper's method).
         samples: points an interval at which the certificate checks the constraints.
 
     Example:
@@ -61,7 +61,7 @@ class Planner(eqx.Module):
     """
 
     nodes: int = 30
-    method: SCP | NewtonSCP = SCP()
+    method: NewtonSCP | SCP = NewtonSCP()
     samples: int = 200
 
     def __call__(self, scenario: LandingScenario) -> Solution:

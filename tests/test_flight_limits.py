@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import jaxscp
-from jaxscp import NewtonSCP, Planner, scenarios, status_names
+from jaxscp import Planner, scenarios, status_names
 from jaxscp.certificate import fly
 from jaxscp.rotations import rotation_matrix
 
@@ -29,15 +29,13 @@ def planned():
     scenario = dataclasses.replace(
         scenarios.ascent_to_platform(),
         obstacles=None,
-        limits=jaxscp.flight_limits(
-            speed=SPEED, tilt=TILT, body_rate=BODY_RATE, thrust_rate=THRUST_RATE
-        ),
+        limits=jaxscp.flight_limits(speed=SPEED, tilt=TILT, body_rate=BODY_RATE, thrust_rate=THRUST_RATE),
         keep_out=jaxscp.ellipsoids([BALL], BALL_RADIUS),
         gates=jaxscp.ellipsoids([GATE], GATE_RADIUS),
         deck_velocity=jnp.asarray(DECK_VELOCITY),
         goal_fixed=jaxscp.fixed(attitude=[1, 1, 0]),
     )
-    planner = Planner(nodes=20, method=NewtonSCP())
+    planner = Planner(nodes=20)
     solution = planner(scenario)
     problem, _, _ = planner.setup(scenario)
     flight = jax.jit(lambda t: fly(problem, t, 100))(solution.trajectory)

@@ -15,14 +15,14 @@ from tests.flights import random_nodes, short_problem
 MISSIONS = {"platform": scenarios.platform_to_platform, "ascend": scenarios.ascent_to_platform}
 # Relative. The method ends where a step would gain 1e-4; the cost is flat there, and many such steps may be left. Where
 # short intervals lie is a choice with many local optima of nearly one cost: rounding decides between them.
-SAME_COST = 4e-3
+SAME_COST = 1e-2
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("mission", MISSIONS)
 def test_optimal_by_ipopts_account_and_safe_between_nodes(mission):
     optimum = pytest.importorskip("benchmarks.rivals.optimum", reason="needs CasADi")
-    planner = Planner(method=NewtonSCP())
+    planner = Planner()
     for price in (0.0, 5.0):
         scenario = eqx.tree_at(lambda s: s.weights.time, MISSIONS[mission](), jnp.asarray(price))
         solution = planner(scenario)
@@ -40,7 +40,7 @@ def test_lanes_end_as_they_do_alone():
     base = scenarios.ascent_to_platform()
     masses = jnp.array([0.928, 40.0, 0.85])
     make = lambda mass: eqx.tree_at(lambda s: s.airframe.body.mass, base, mass)  # noqa: E731
-    planner = Planner(method=NewtonSCP())
+    planner = Planner()
     batch = jax.jit(jax.vmap(planner))(jax.vmap(make)(masses))
     assert list(status_names(batch.status)) == ["converged", "invalid_input", "converged"]
     for lane in (0, 2):

@@ -24,7 +24,7 @@ def scenario():
 
 @pytest.fixture(scope="module")
 def solution(scenario):
-    return jaxscp.Planner(nodes=NODES)(scenario)
+    return jaxscp.Planner(nodes=NODES, method=jaxscp.SCP())(scenario)
 
 
 @pytest.fixture(scope="module")

@@ -22,7 +22,7 @@ MISSIONS = {
 def test_plans_land_where_they_say(seed):
     mission = list(MISSIONS.values())[seed]
     scenarios = random_instances(jax.random.key(seed), 50, mission)
-    solutions = jax.jit(jax.vmap(jaxscp.Planner()))(scenarios)
+    solutions = jax.jit(jax.vmap(jaxscp.Planner(method=jaxscp.SCP())))(scenarios)
     names = status_names(solutions.status)
     assert set(names) == {"converged"}, names
     assert np.max(solutions.certificate.position_error) < DISTANCE
@@ -33,10 +33,11 @@ def test_plans_land_where_they_say(seed):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", MISSIONS)
-def test_scipy_lands_where_the_plan_says(name):
+@pytest.mark.parametrize("method", [jaxscp.SCP(), jaxscp.NewtonSCP()], ids=["paper", "newton"])
+def test_scipy_lands_where_the_plan_says(name, method):
     """The certificate's own integrator is not trusted here: SciPy's DOP853 flies the controls."""
     scenario = MISSIONS[name]()
-    solution = jaxscp.Planner()(scenario)
+    solution = jaxscp.Planner(method=method)(scenario)
     assert bool(solution.status == Status.converged)
     plan, body = solution.trajectory, scenario.airframe.body
     rate = jax.jit(lambda t, x: body(x, plan.control_at(t)))
