@@ -21,7 +21,7 @@ class Scales(eqx.Module):
     columns: Float[Array, "nodes variables"]
     links: Float[Array, "links link_rows"]
     rows: Float[Array, "nodes rows"]
-    cones: tuple[Float[Array, "nodes cones"], ...]
+    cones: tuple[Float[Array, "nodes _"], ...]
     cost: Scalar
 
     def restore(

@@ -116,7 +116,7 @@ class Multipliers(eqx.Module):
 
     links: Float[Array, "links link_rows"]
     rows: Float[Array, "nodes rows"]
-    cones: tuple[Float[Array, "nodes cones dimension"], ...]
+    cones: tuple[Float[Array, "nodes _ _"], ...]
 
 
 class ConicSolution(eqx.Module):
