@@ -15,7 +15,7 @@ from jaxscp.constraints import AcrossIntervals, AtNodes, Constraint, SecondOrder
 from jaxscp.discretise import interval_inputs, rk4_step
 from jaxscp.problem import OptimalControlProblem
 
-RESERVE = 1.1  # of the margin: what bends more between the points than at them. In 0.1 s, without it, 1.4 mm were lost
+RESERVE = 1.1  # of the margin: a path may bend more between the points than at them
 _KINK = 1e-4  # m, or a value's unit: rounds the corner of max(0, d); a sixteenth of it may be missed
 
 
