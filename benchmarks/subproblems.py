@@ -31,7 +31,7 @@ from jaxscp.conic.interior_point import InteriorPoint
 from jaxscp.conic.osqp import status_of
 from jaxscp.conic.quadratic import QuadraticProgram
 from jaxscp.convexify import convexify
-from jaxscp.initial_guess import guess_program, guess_time, initial_guess
+from jaxscp.initial_guess import Units, guess_program, guess_time, initial_guess
 from jaxscp.landing import landing_problem
 from jaxscp.mission import LandingScenario
 from jaxscp.problem import OptimalControlProblem
@@ -139,7 +139,8 @@ def _prepared(scenario: LandingScenario):
     problem = landing_problem(scenario, allocation, published=True)
     guess = initial_guess(scenario, allocation)
     z = problem.join(guess.states, guess.controls, guess.dilation)
-    return problem, guess_program(scenario, allocation, guess_time(scenario, allocation)), z
+    units = Units.of(scenario, allocation, guess_time(scenario, allocation))
+    return problem, guess_program(scenario, allocation, units), z
 
 
 @cache

@@ -18,7 +18,7 @@ def allocate(corridor: Corridor, start: Vector3, goal: Vector3, nodes: int) -> I
     spare = nodes - 1 - corridor.count
     share = length[:-1] / jnp.maximum(length[-1], 1e-9)
     ends = jnp.arange(1, corridor.count) + jnp.round(spare * share).astype(int)
-    return jnp.searchsorted(ends, jnp.arange(nodes - 1), side="right").astype(int)
+    return jnp.searchsorted(ends, jnp.arange(nodes - 1), side="right", method="compare_all").astype(int)
 
 
 def route_positions(
@@ -27,8 +27,8 @@ def route_positions(
     """Positions of the nodes on the polyline start, joints, goal; the nodes of a polytope evenly spaced on it."""
     route = jnp.concatenate([start[None], corridor.joints, goal[None]])
     intervals = jnp.arange(allocation.shape[0])
-    first = jnp.searchsorted(allocation, allocation, side="left").astype(int)
-    last = jnp.searchsorted(allocation, allocation, side="right").astype(int)
+    first = jnp.searchsorted(allocation, allocation, side="left", method="compare_all").astype(int)
+    last = jnp.searchsorted(allocation, allocation, side="right", method="compare_all").astype(int)
     share = (intervals - first) / (last - first)
     points = route[allocation] + share[:, None] * (route[allocation + 1] - route[allocation])
     return jnp.concatenate([points, goal[None]])

@@ -16,16 +16,20 @@ from jaxscp.conic.program import Cones, Links, NormCost, Rows, StagedProgram
 from jaxscp.landing import in_cone
 from jaxscp.mission import LandingScenario
 from jaxscp.status import StatusCode
-from jaxscp.types import Controls, Nodes, Scalar, States
+from jaxscp.types import Controls, Nodes, Scalar, States, Vector3
 
-# A guess needs no more: within a percent of the least effort, and no refinement. Its program is well scaled already.
-GUESS_CONIC = InteriorPoint(tolerance=1e-2, refinements=0, equilibration=1)
-GUESS_VIOLATION = 1e-2  # m, that such a guess may leave the corridor or the cone by
+# A guess needs no more: within a percent of the least effort. Its units do what equilibration would.
+GUESS_CONIC = InteriorPoint(tolerance=1e-2, refinements=0, equilibration=0)
+GUESS_VIOLATION = 1e-3  # of the route, that such a guess may leave the corridor or the cone by
+GUESS_PRICE = (
+    0.1  # of a unit of effort: multipliers then have the size of the slacks, which saves Newton steps
+)
 
 SHARE_OF_THRUST = (
     0.4  # of what full thrust leaves after hovering: the guess's acceleration, which sets its flight time
 )
 LEAST_ACCELERATION = 0.5  # m/s^2
+LEAST_LENGTH = 0.1  # m, of the unit of length: where start and goal are one
 
 
 class Guess(eqx.Module):
@@ -50,13 +54,14 @@ def initial_guess(scenario: LandingScenario, allocation: Int[Array, "intervals"]
     """
     duration = guess_time(scenario, allocation)
     scenario = eqx.tree_at(lambda s: s.goal, scenario, scenario.goal_at(duration))
-    program = guess_program(scenario, allocation, duration)
+    units = Units.of(scenario, allocation, duration)
+    program = guess_program(scenario, allocation, units)
     solution = GUESS_CONIC(program)
     nodes = program.nodes
     straight = route_positions(scenario.corridor, scenario.start.position, scenario.goal.position, allocation)
     solved = jnp.all(jnp.isfinite(solution.z)) & (program.violation(solution.z) < GUESS_VIOLATION)
-    position = jnp.where(solved, solution.z[:, :3], straight)
-    velocity = jnp.where(solved, solution.z[:, 3:6], 0.0)
+    position = jnp.where(solved, units.origin + units.length * solution.z[:, :3], straight)
+    velocity = jnp.where(solved, units.speed * solution.z[:, 3:6], 0.0)
     attitude = _blend_attitudes(scenario.start.attitude, scenario.goal.attitude, nodes)
     states = jnp.concatenate([position, velocity, attitude, jnp.zeros((nodes, 3), position.dtype)], axis=1)
     states = states.at[0].set(scenario.start.vector()).at[-1].set(scenario.goal.vector())
@@ -67,10 +72,31 @@ def initial_guess(scenario: LandingScenario, allocation: Int[Array, "intervals"]
     return Guess(states, controls, jnp.full((nodes,), duration), solution.status)
 
 
+class Units(eqx.Module):
+    """What the guess's program is measured in, so that its solution takes as few Newton steps at any scale."""
+
+    origin: Vector3
+    """The goal, m."""
+    length: Scalar
+    """That of the route, m."""
+    time: Scalar
+    """Two intervals, s."""
+
+    @property
+    def speed(self) -> Scalar:
+        """m/s."""
+        return self.length / self.time
+
+    @classmethod
+    def of(cls, scenario: LandingScenario, allocation: Int[Array, "intervals"], duration: Scalar) -> "Units":
+        """Units of a flight of a given duration."""
+        length = jnp.maximum(_route_length(scenario, allocation), LEAST_LENGTH)
+        return cls(scenario.goal.position, length, 2.0 * duration / allocation.shape[0])
+
+
 def guess_time(scenario: LandingScenario, allocation: Int[Array, "intervals"]) -> Scalar:
     """Flight time of the guess in s: from rest to rest along the route, at a comfortable acceleration."""
-    route = route_positions(scenario.corridor, scenario.start.position, scenario.goal.position, allocation)
-    length = jnp.sum(jnp.linalg.norm(jnp.diff(route, axis=0), axis=1))
+    length = _route_length(scenario, allocation)
     body = scenario.airframe.body
     lift = jnp.dot(body.thrust_map[2], scenario.airframe.thrust_max) / body.mass
     spare = SHARE_OF_THRUST * (lift - jnp.linalg.norm(body.gravity))
@@ -80,52 +106,59 @@ def guess_time(scenario: LandingScenario, allocation: Int[Array, "intervals"]) -
     return jnp.clip(duration, scenario.dilation_min, scenario.dilation_max)
 
 
+def _route_length(scenario: LandingScenario, allocation: Int[Array, "intervals"]) -> Scalar:
+    route = route_positions(scenario.corridor, scenario.start.position, scenario.goal.position, allocation)
+    return jnp.sum(jnp.linalg.norm(jnp.diff(route, axis=0), axis=1))
+
+
 def guess_program(
-    scenario: LandingScenario, allocation: Int[Array, "intervals"], duration: Scalar
+    scenario: LandingScenario, allocation: Int[Array, "intervals"], units: Units
 ) -> StagedProgram:
-    """Program (26) over node variables (position, velocity, acceleration)."""
+    """Program (26) over node variables (position, velocity, acceleration), in the given units."""
     nodes = allocation.shape[0] + 1
     dtype = scenario.start.position.dtype
     cell = jnp.concatenate([allocation, allocation[-1:]])
     corridor = scenario.corridor
     faces = corridor.normals[cell]
+    distances = (corridor.offsets[cell] - faces @ units.origin) / units.length
     cotangent = 1.0 / jnp.tan(scenario.cone_angle)
     deck = rotations.rotation_matrix(scenario.goal.attitude).T  # rows are the deck's axes
     side = jnp.array([cotangent, 1.0, 1.0], dtype)[:, None] * deck[jnp.array([2, 0, 1])]
-    apex = scenario.goal.position
     active = in_cone(nodes)[:, None]
     cone_matrix = jnp.where(active[:, :, None], -_pad_columns(side, 9), 0.0)
-    cone_offset = jnp.where(active, -(side @ apex), jnp.array([1.0, 0.0, 0.0], dtype))
+    cone_offset = jnp.where(active, 0.0, jnp.array([1.0, 0.0, 0.0], dtype))  # the apex is the origin
     acceleration = jnp.zeros(9, dtype).at[6:].set(1.0)
     return StagedProgram(
         hessian=jnp.zeros((nodes, 9, 9), dtype),
         gradient=jnp.zeros((nodes, 9), dtype),
-        links=_double_integrator_links(scenario, duration, nodes),
-        rows=Rows(
-            jnp.concatenate([faces, jnp.zeros((*faces.shape[:2], 6), dtype)], axis=2), corridor.offsets[cell]
-        ),
+        links=_double_integrator_links(scenario, units, nodes),
+        rows=Rows(jnp.concatenate([faces, jnp.zeros((*faces.shape[:2], 6), dtype)], axis=2), distances),
         cones=(Cones(cone_matrix[:, None], cone_offset[:, None]),),
         norm=NormCost(
-            jnp.ones(nodes, dtype), jnp.broadcast_to(acceleration, (nodes, 9)), jnp.zeros((nodes, 9), dtype)
+            jnp.full(nodes, GUESS_PRICE, dtype),
+            jnp.broadcast_to(acceleration, (nodes, 9)),
+            jnp.zeros((nodes, 9), dtype),
         ),
     )
 
 
-def _double_integrator_links(scenario: LandingScenario, duration: Scalar, nodes: int) -> Links:
+def _double_integrator_links(scenario: LandingScenario, units: Units, nodes: int) -> Links:
     """Exact first-order hold of p'' = a (equation 25), and both ends fixed in position and velocity."""
-    h = duration / (nodes - 1)
+    h = 0.5  # an interval, in units of two
     eye, none = jnp.eye(3), jnp.zeros((3, 3))
     before = jnp.block([[eye, h * eye, h**2 / 3.0 * eye], [none, eye, h / 2.0 * eye]])
     after = jnp.block([[-eye, none, h**2 / 6.0 * eye], [none, -eye, h / 2.0 * eye]])
     fixed = _pad_columns(jnp.eye(6), 9)[None]
     zero = jnp.zeros_like(fixed)
     inner = (nodes - 1, 6, 9)
-    ends = [jnp.concatenate([end.position, end.velocity]) for end in (scenario.start, scenario.goal)]
-    offset = jnp.zeros((nodes + 1, 6)).at[0].set(ends[0]).at[-1].set(ends[1])
+    first, last = (
+        jnp.concatenate([(end.position - units.origin) / units.length, end.velocity / units.speed])
+        for end in (scenario.start, scenario.goal)
+    )
     return Links(
         before=jnp.concatenate([zero, jnp.broadcast_to(before, inner), fixed]),
         after=jnp.concatenate([fixed, jnp.broadcast_to(after, inner), zero]),
-        offset=offset,
+        offset=jnp.zeros((nodes + 1, 6)).at[0].set(first).at[-1].set(last),
         soft=jnp.zeros((nodes + 1, 6)),
         weight=jnp.ones(nodes + 1),
     )

@@ -14,10 +14,10 @@ complement in the link multipliers, S = M H^-1 M' + C: block tridiagonal, one bl
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float
 
 from jaxscp.conic import block_tridiagonal
+from jaxscp.conic.batched import gram, inverse_factor, times, transpose_times
 from jaxscp.conic.cones import ConeVector, Scaling, SecondOrderScaling, tree_axpy
 from jaxscp.conic.program import StagedProgram
 
@@ -37,7 +37,7 @@ class Primal(eqx.Module):
 
 def times_hessian(program: StagedProgram, x: Primal) -> Primal:
     """P x."""
-    z = jnp.einsum("kij,kj->ki", program.hessian, x.z)
+    z = times(program.hessian, x.z)
     return Primal(z, jnp.zeros_like(x.xi), jnp.zeros_like(x.zeta))
 
 
@@ -50,10 +50,10 @@ def linear_cost(program: StagedProgram) -> Primal:
 def times_constraints(program: StagedProgram, x: Primal) -> ConeVector:
     """A x."""
     link = program.links.apply(x.z)
-    user = [jnp.einsum("kcdn,kn->kcd", cone.matrix, x.z) for cone in program.cones]
+    user = [times(cone.matrix, x.z) for cone in program.cones]
     trust = None if program.norm is None else -program.norm.scale * x.z
     second = _pack(program, user, -x.xi, trust, -x.zeta, program.links.soft * link)
-    rows = jnp.einsum("kln,kn->kl", program.rows.matrix, x.z)
+    rows = times(program.rows.matrix, x.z)
     return ConeVector((1.0 - program.links.soft) * link, rows, second)
 
 
@@ -61,9 +61,9 @@ def times_constraints_transpose(program: StagedProgram, y: ConeVector) -> Primal
     """A' y."""
     user, trust, virtual = unpack(program, y.second)
     z = program.links.transpose_apply(link_multiplier(program, y))
-    z += jnp.einsum("kln,kl->kn", program.rows.matrix, y.orthant)
+    z += transpose_times(program.rows.matrix, y.orthant)
     for cone, multiplier in zip(program.cones, user, strict=True):
-        z += jnp.einsum("kcdn,kcd->kn", cone.matrix, multiplier)
+        z += transpose_times(cone.matrix, multiplier)
     if program.norm is not None:
         z -= program.norm.scale * trust[:, 1:]
     return Primal(z, -trust[:, 0], -virtual[:, 0])
@@ -132,8 +132,8 @@ def _stack(head: Float[Array, "chain"], tail: Float[Array, "chain n"]) -> Float[
 class Factor(eqx.Module):
     """Everything that depends on the scaling alone and serves several right-hand sides."""
 
-    lower: Float[Array, "nodes variables variables"]
-    """Cholesky factors of the node Hessians."""
+    nodes: Float[Array, "nodes variables variables"]
+    """L_k^-1, where L_k L_k' is the Hessian of a node."""
     schur: block_tridiagonal.BlockCholesky
 
 
@@ -141,19 +141,17 @@ def factorise(program: StagedProgram, scaling: Scaling, regularisation: float) -
     """Eliminate cones and nodes and factor the Schur complement; the regularisation makes both definite."""
     hessian = _node_hessian(program, scaling)
     n, m = program.variables, program.links.soft.shape[1]
-    lower = jnp.linalg.cholesky(hessian + regularisation * jnp.eye(n, dtype=hessian.dtype))
-    half = jax.vmap(lambda L, B: solve_triangular(L, B, lower=True))
-    after = half(lower, jnp.swapaxes(program.links.after[:-1], 1, 2))  # L_k^-1 F_k', node k in link k
-    before = half(
-        lower, jnp.swapaxes(program.links.before[1:], 1, 2)
-    )  # L_k^-1 E_{k+1}', node k in link k + 1
+    inverse = inverse_factor(hessian + regularisation * jnp.eye(n, dtype=hessian.dtype))
+    half = lambda matrix: jnp.einsum("kij,klj->kil", inverse, matrix)  # noqa: E731
+    after = half(program.links.after[:-1])  # L_k^-1 F_k', node k in link k
+    before = half(program.links.before[1:])  # L_k^-1 E_{k+1}', node k in link k + 1
     compliance = _compliance(program, _unpack_scaling(program, scaling.second)[2])
     diagonal = compliance + regularisation * jnp.eye(m, dtype=hessian.dtype)
-    diagonal = diagonal.at[:-1].add(jnp.einsum("kni,knj->kij", after, after))
-    diagonal = diagonal.at[1:].add(jnp.einsum("kni,knj->kij", before, before))
-    above = jnp.einsum("kni,knj->kij", after, before)
+    diagonal = diagonal.at[:-1].add(gram(after, after))
+    diagonal = diagonal.at[1:].add(gram(before, before))
+    above = gram(after, before)
     above = jnp.concatenate([above, jnp.zeros_like(above[:1])])
-    return Factor(lower, block_tridiagonal.factor(diagonal, above))
+    return Factor(inverse, block_tridiagonal.factor(diagonal, above))
 
 
 def _node_hessian(program: StagedProgram, scaling: Scaling) -> Float[Array, "nodes variables variables"]:
@@ -236,9 +234,9 @@ def _solve_once(program: StagedProgram, scaling: Scaling, factor: Factor, rx: Pr
     user, trust, virtual = _unpack_scaling(program, scaling.second)
     user_right, trust_right, virtual_right = unpack(program, ry.second)
 
-    z_right = rx.z + jnp.einsum("kln,kl->kn", program.rows.matrix, ry.orthant / scaling.orthant**2)
+    z_right = rx.z + transpose_times(program.rows.matrix, ry.orthant / scaling.orthant**2)
     for cone, w, r in zip(program.cones, user, user_right, strict=True):
-        z_right += jnp.einsum("kcdn,kcd->kn", cone.matrix, w.inverse_square(r))
+        z_right += transpose_times(cone.matrix, w.inverse_square(r))
     if program.norm is not None:
         trust_shift = trust_right[:, 1:] - _tail_head(trust) * rx.xi[:, None]
         z_right -= program.norm.scale * _tail_inverse(trust, trust_shift)
@@ -249,9 +247,9 @@ def _solve_once(program: StagedProgram, scaling: Scaling, factor: Factor, rx: Pr
     link = block_tridiagonal.solve(factor.schur, program.links.apply(z) - link_right)
     z = z - _node_solve(factor, program.links.transpose_apply(link))
 
-    rows = (jnp.einsum("kln,kn->kl", program.rows.matrix, z) - ry.orthant) / scaling.orthant**2
+    rows = (times(program.rows.matrix, z) - ry.orthant) / scaling.orthant**2
     user_y = [
-        w.inverse_square(jnp.einsum("kcdn,kn->kcd", cone.matrix, z) - r)
+        w.inverse_square(times(cone.matrix, z) - r)
         for cone, w, r in zip(program.cones, user, user_right, strict=True)
     ]
     trust_y = None
@@ -267,7 +265,4 @@ def _solve_once(program: StagedProgram, scaling: Scaling, factor: Factor, rx: Pr
 
 
 def _node_solve(factor: Factor, right: Float[Array, "nodes variables"]) -> Float[Array, "nodes variables"]:
-    def one(lower, r):
-        return solve_triangular(lower, solve_triangular(lower, r, lower=True), lower=True, trans=1)
-
-    return jax.vmap(one)(factor.lower, right)
+    return transpose_times(factor.nodes, times(factor.nodes, right))

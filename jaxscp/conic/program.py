@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxscp.conic.batched import times, transpose_times
 from jaxscp.status import StatusCode
 from jaxscp.types import Scalar
 
@@ -38,11 +39,11 @@ class Links(eqx.Module):
         """E z_{l-1} + F z_l for every link."""
         z_before = jnp.concatenate([jnp.zeros_like(z[:1]), z])
         z_after = jnp.concatenate([z, jnp.zeros_like(z[:1])])
-        return _times(self.before, z_before) + _times(self.after, z_after)
+        return times(self.before, z_before) + times(self.after, z_after)
 
     def transpose_apply(self, y: Float[Array, "links rows"]) -> Float[Array, "nodes variables"]:
         """The adjoint of ``apply``."""
-        return _transpose_times(self.before[1:], y[1:]) + _transpose_times(self.after[:-1], y[:-1])
+        return transpose_times(self.before[1:], y[1:]) + transpose_times(self.after[:-1], y[:-1])
 
 
 class Rows(eqx.Module):
@@ -89,7 +90,7 @@ class StagedProgram(eqx.Module):
 
     def objective(self, z: Float[Array, "nodes variables"]) -> Scalar:
         """Cost of a point, with virtual control the least that closes the soft links."""
-        cost = 0.5 * jnp.vdot(z, _times(self.hessian, z)) + jnp.vdot(self.gradient, z)
+        cost = 0.5 * jnp.vdot(z, times(self.hessian, z)) + jnp.vdot(self.gradient, z)
         cost += jnp.vdot(self.links.weight, jnp.linalg.norm(self.virtual_control(z), axis=-1))
         if self.norm is not None:
             cost += jnp.vdot(
@@ -104,9 +105,9 @@ class StagedProgram(eqx.Module):
     def violation(self, z: Float[Array, "nodes variables"]) -> Scalar:
         """Largest violation of hard links, half-spaces and cones, in each row's own unit."""
         hard = (1.0 - self.links.soft) * (self.links.offset - self.links.apply(z))
-        worst = jnp.maximum(jnp.max(jnp.abs(hard)), jnp.max(_times(self.rows.matrix, z) - self.rows.offset))
+        worst = jnp.maximum(jnp.max(jnp.abs(hard)), jnp.max(times(self.rows.matrix, z) - self.rows.offset))
         for cone in self.cones:
-            slack = cone.offset - jnp.einsum("kcdn,kn->kcd", cone.matrix, z)
+            slack = cone.offset - times(cone.matrix, z)
             worst = jnp.maximum(worst, jnp.max(jnp.linalg.norm(slack[..., 1:], axis=-1) - slack[..., 0]))
         return jnp.maximum(worst, 0.0)
 
@@ -130,11 +131,3 @@ class ConicSolution(eqx.Module):
     objective: Scalar
     status: StatusCode
     iterations: jax.Array
-
-
-def _times(matrix: Float[Array, "chain rows columns"], vector: Float[Array, "chain columns"]):
-    return jnp.einsum("krc,kc->kr", matrix, vector)
-
-
-def _transpose_times(matrix: Float[Array, "chain rows columns"], vector: Float[Array, "chain rows"]):
-    return jnp.einsum("krc,kr->kc", matrix, vector)

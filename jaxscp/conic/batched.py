@@ -1,0 +1,36 @@
+"""Small dense algebra at every place of a chain at once.
+
+Products with vectors are written as sums, not as dots: they then fuse with their neighbours, where a batched dot is a
+call of its own that costs more than its arithmetic at these sizes. Triangular factors are inverted once for the
+same reason: each later solve is a product.
+"""
+
+import jax
+import jax.numpy as jnp
+from jax.scipy.linalg import solve_triangular
+from jaxtyping import Array, Float
+
+
+def times(matrix: Float[Array, "chain ... columns"], vector: Float[Array, "chain columns"]) -> jax.Array:
+    """A_k v_k: the last axis is summed, and those between kept."""
+    between = (1,) * (matrix.ndim - 2)
+    return jnp.sum(matrix * vector.reshape(vector.shape[0], *between, vector.shape[1]), axis=-1)
+
+
+def transpose_times(
+    matrix: Float[Array, "chain ... columns"], vector: Float[Array, "chain ..."]
+) -> jax.Array:
+    """A_k' v_k: all axes between the first and the last are summed."""
+    return jnp.sum(matrix * vector[..., None], axis=tuple(range(1, vector.ndim)))
+
+
+def gram(a: Float[Array, "chain rows i"], b: Float[Array, "chain rows j"]) -> Float[Array, "chain i j"]:
+    """A_k' B_k."""
+    return jnp.einsum("kri,krj->kij", a, b)
+
+
+def inverse_factor(matrix: Float[Array, "chain size size"]) -> Float[Array, "chain size size"]:
+    """L_k^-1, where A_k = L_k L_k'."""
+    lower = jnp.linalg.cholesky(matrix, symmetrize_input=False)
+    eye = jnp.broadcast_to(jnp.eye(matrix.shape[-1], dtype=matrix.dtype), matrix.shape)
+    return solve_triangular(lower, eye, lower=True)
