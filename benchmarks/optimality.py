@@ -134,6 +134,8 @@ class Ours:
     """Worst of the corridor, cone and keep-out, densely between the nodes, in m."""
     limits: float
     """Worst of all other limits, relative to what is allowed."""
+    optimality: float | None
+    """Residual of the optimality conditions, as the certificate has it."""
 
 
 def plan(planner: jaxscp.Planner, scenario: LandingScenario) -> Ours:
@@ -151,6 +153,7 @@ def plan(planner: jaxscp.Planner, scenario: LandingScenario) -> Ours:
         seconds=seconds,
         violation=max((float(v) for n, v in between.items() if n in DISTANCES), default=0.0),
         limits=max((float(v / allowed[n]) for n, v in between.items() if n not in DISTANCES), default=0.0),
+        optimality=None if certificate.optimality is None else float(certificate.optimality),
     )
 
 
@@ -224,6 +227,7 @@ def compare(instances: int, starts: int, workers: int, file: Path | None, echo: 
         "p95_iterations": float(np.percentile(counts, 95)),
         "worst_violation_m": max((row["violation"] for row in good), default=0.0),
         "worst_limit_relative_to_allowed": max((row["limits"] for row in good), default=0.0),
+        "worst_optimality_residual": max((row["optimality"] for row in good), default=0.0),
         "converged": len(good),
         "cases": rows,
         "paper": before_and_after(cases[:BOTH_METHODS], plans[:BOTH_METHODS], echo),
@@ -257,7 +261,7 @@ def survey(count: int, lanes: int, echo: Any) -> dict[str, Any]:
     # Without jit around it, its two compiled parts remain two, and the missions share the large one.
     plan_all = jax.vmap(jaxscp.Planner(nodes=NODES))
     seen: dict[str, dict[str, int]] = {"feasible": {}, "infeasible": {}}
-    refuted, not_finite, iterations, worst = 0, 0, [], 0.0
+    refuted, not_finite, iterations, worst, residuals = 0, 0, [], 0.0, []
     missions = (scenarios.platform_to_platform, scenarios.ascent_to_platform)
     began = time.perf_counter()
     for mission in missions:
@@ -270,6 +274,7 @@ def survey(count: int, lanes: int, echo: Any) -> dict[str, Any]:
             finite = [np.isfinite(leaf).reshape(lanes, -1).all(axis=1) for leaf in jax.tree.leaves(solution)]
             not_finite += int(np.sum(~np.all(finite, axis=0)))
             iterations.extend(solution.iterations[names == "converged"])
+            residuals.extend(solution.certificate.optimality[names == "converged"])
             for kind, which in (("feasible", ~impossible), ("infeasible", impossible)):
                 for name, number in zip(*np.unique(names[which], return_counts=True), strict=True):
                     seen[kind][str(name)] = seen[kind].get(str(name), 0) + int(number)
@@ -284,6 +289,8 @@ def survey(count: int, lanes: int, echo: Any) -> dict[str, Any]:
         "random_statuses": seen,
         "random_median_iterations": float(np.median(iterations)) if iterations else None,
         "random_worst_violation_relative_to_allowed": worst,
+        "random_worst_optimality_residual": float(max(residuals, default=0.0)),
+        "random_median_optimality_residual": float(np.median(residuals)) if residuals else None,
         "random_seconds": time.perf_counter() - began,
     }
 

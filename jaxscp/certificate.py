@@ -18,6 +18,7 @@ from jaxscp.types import Flag, Scalar
 
 TOLERANCE = 1e-10  # of the re-integration, relative and absolute
 MAX_STEPS = 4096  # of the re-integration, an interval
+OPTIMALITY = 0.3  # residual of the optimality conditions, which converged answers have near 0.01
 ANGLE = 1.75e-3  # rad (0.1 degree), that the end may miss the goal's attitude
 
 
@@ -49,6 +50,8 @@ class Certificate(eqx.Module):
     """Worst violation over dense samples of the whole flight."""
     allowed: Float[Array, "constraints"]
     """Violation that counts as none: 1 mm for distances, 1e-3 of a limit or of the range between two."""
+    optimality: Scalar | None
+    """Residual of the nonlinear problem's optimality conditions (``stationarity``); None where a method claims none."""
     names: tuple[str, ...] = eqx.field(static=True)
 
     @property
@@ -64,6 +67,8 @@ class Certificate(eqx.Module):
             f"{float(self.rate_error):.3g} rad/s from the goal",
             f"largest defect {float(self.defect):.3g}",
         ]
+        if self.optimality is not None:
+            lines.append(f"optimality conditions lack {float(self.optimality):.3g} of the cost")
         width = max(map(len, self.names))
         for name, nodes, between in zip(self.names, self.at_nodes, self.between_nodes, strict=True):
             lines.append(
@@ -72,7 +77,12 @@ class Certificate(eqx.Module):
         return "\n".join(lines)
 
 
-def certify(problem: OptimalControlProblem, trajectory: Trajectory, samples: int = 200) -> Certificate:
+def certify(
+    problem: OptimalControlProblem,
+    trajectory: Trajectory,
+    samples: int = 200,
+    optimality: Scalar | None = None,
+) -> Certificate:
     """Judge a rigid-body trajectory against its problem.
 
     Args:
@@ -80,6 +90,7 @@ def certify(problem: OptimalControlProblem, trajectory: Trajectory, samples: int
         trajectory: the answer; only its controls, its dilation and its first state are trusted. ``problem.final``
             must be a condition on (position, velocity, attitude by 3 or 4 components, body rate).
         samples: points an interval at which constraints are evaluated.
+        optimality: what ``stationarity`` found, if the method claims an optimum.
     """
     flight = fly(problem, trajectory, samples)
     missed = problem.final.function(flight.state[-1, -1], trajectory.time[-1], problem.final.parameters)
@@ -94,6 +105,7 @@ def certify(problem: OptimalControlProblem, trajectory: Trajectory, samples: int
         at_nodes=jnp.stack([at_nodes for at_nodes, _ in judged]),
         between_nodes=jnp.stack([between for _, between in judged]),
         allowed=jnp.stack([jnp.asarray(c.allowed, float) for c in problem.constraints]),
+        optimality=optimality,
         names=tuple(c.name for c in problem.constraints),
     )
 
@@ -201,12 +213,14 @@ def _judge(constraint: Constraint, trajectory: Trajectory, flight: Flight) -> tu
 
 
 def acceptable(certificate: Certificate, between_nodes: bool = True) -> Flag:
-    """Whether the re-flown end lies within 1 mm and 0.1 degree of the goal, and no constraint is violated anywhere
-    on the flight by more than 1 mm, or 1e-3 of a limit.
+    """Whether the re-flown end lies within 1 mm and 0.1 degree of the goal, no constraint is violated anywhere on
+    the flight by more than 1 mm, or 1e-3 of a limit, and the point is stationary, if it claims to be.
 
     Args:
         certificate: what the judge found.
         between_nodes: whether the constraints are judged; the paper's method keeps them at the nodes only.
     """
     lands = (certificate.position_error <= DISTANCE) & (certificate.attitude_error <= ANGLE)
+    if certificate.optimality is not None:
+        lands &= certificate.optimality <= OPTIMALITY
     return lands & jnp.all(certificate.between_nodes <= certificate.allowed) if between_nodes else lands

@@ -177,6 +177,7 @@ def report(solution: Solution, timing: Timing) -> dict[str, Any]:
         "compile_seconds": timing.compile,
         "defect": plain(certificate.defect),
         "violation": plain(certificate.violation),
+        "optimality": None if certificate.optimality is None else plain(certificate.optimality),
         "end_error": {
             "position": plain(certificate.position_error),
             "velocity": plain(certificate.velocity_error),

@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float
 from jaxscp.constraints import AcrossIntervals, AtNodes, Constraint, SecondOrder
 from jaxscp.discretise import interval_inputs, rk4_step
 from jaxscp.problem import OptimalControlProblem
+from jaxscp.types import Scalar
 
 RESERVE = 1.1  # of the margin: a path may bend more between the points than at them
 _KINK = 1e-4  # m, or a value's unit: rounds the corner of max(0, d); a sixteenth of it may be missed
@@ -55,8 +56,18 @@ class Linearisation(eqx.Module):
 
 def interval_outputs(problem: OptimalControlProblem, w: Float[Array, "inputs"], given, grid: Grid) -> Outputs:
     """Fly one interval; ``given`` is its entry of ``interval_data``."""
+    return path_outputs(problem, *_fly(problem, w, grid), given)
+
+
+def path_outputs(
+    problem: OptimalControlProblem,
+    states: Float[Array, "points states"],
+    controls: Float[Array, "points inputs"],
+    cost: Scalar,
+    given,
+) -> Outputs:
+    """What a flown interval gives, from its states and controls (with dilation) at the points."""
     parameters, keep = given
-    states, controls, cost = _fly(problem, w, grid)
     values = tuple(
         _values(problem, constraint, p, keep, states, controls)
         for constraint, p in zip(problem.constraints, parameters, strict=True)

@@ -81,6 +81,17 @@ def path_multipliers(
     return PathMultipliers(found.links[1:-1, :states], tuple(values), dilation)
 
 
+def no_program_multipliers(
+    problem: OptimalControlProblem, z: Float[Array, "nodes variables"], linear: Linearisation
+) -> Multipliers:
+    """Zeros in the shape of a subproblem's multipliers."""
+    inputs = linear.jacobian.end.shape[-1]
+    flat = jnp.zeros((problem.nodes, inputs, inputs), z.dtype)
+    program = lifted_program(problem, z, linear, flat, flat[:, 0], 0.0)
+    offsets = Multipliers(program.links.offset, program.rows.offset, tuple(c.offset for c in program.cones))
+    return jax.tree.map(jnp.zeros_like, offsets)
+
+
 def check(problem: OptimalControlProblem) -> None:
     """Raise for a problem that has no such form."""
     if problem.carries_cost:

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 
 from jaxscp.active_set import ActiveSet, active_set, near_limits, nearest_dilation_limit, slacks
 from jaxscp.conic.interior_point import InteriorPoint
-from jaxscp.conic.program import ConicSolution, StagedProgram
+from jaxscp.conic.program import ConicSolution, Multipliers, StagedProgram
 from jaxscp.convexify import terminal_cost
 from jaxscp.correction import HOLD, corrected
 from jaxscp.curvature import Chain, Convex, condensed, projected
@@ -39,12 +39,15 @@ from jaxscp.lifted import (
     end_condition,
     lifted_links,
     lifted_program,
+    no_program_multipliers,
     node_step,
     path_multipliers,
 )
 from jaxscp.lifted import check as check_liftable
 from jaxscp.problem import OptimalControlProblem, node_times
+from jaxscp.relinearise import relinearise
 from jaxscp.scp import History
+from jaxscp.stationarity import stationarity
 from jaxscp.status import Status, StatusCode, usable
 from jaxscp.types import Count, Flag, Scalar
 
@@ -72,6 +75,8 @@ class NewtonState(eqx.Module):
     """Its intervals."""
     multipliers: PathMultipliers
     """Of the subproblem that led to it."""
+    found: Multipliers
+    """The same, in the subproblem's own shape."""
     past: Residual
     """The last accepted points, newest first."""
     proximal: Scalar
@@ -93,6 +98,7 @@ class NewtonSCP(eqx.Module):
         tolerance: decrease of the cost, relative to it, that the model of a converged iterate still foretells.
         tolerance_defect: sum of |F(w_i) - x_{i+1}| over the intervals of a converged iterate, and worst violation
             of a constraint at its points; what is left is closed at the end.
+        tolerance_gradient: residual of the optimality conditions (``stationarity``) of a converged iterate.
         max_iterations: subproblems allowed.
         proximal: first weight of the squared (scaled) step.
         virtual_weight: price of virtual control.
@@ -111,6 +117,7 @@ class NewtonSCP(eqx.Module):
 
     tolerance: float = 1e-4
     tolerance_defect: float = 5e-3
+    tolerance_gradient: float = 0.1
     max_iterations: int = eqx.field(default=60, static=True)
     proximal: float = 0.1
     virtual_weight: float = 1000.0
@@ -129,6 +136,11 @@ class NewtonSCP(eqx.Module):
         """Whether a converged answer claims to keep its constraints between the nodes too."""
         return True
 
+    def optimality(self, problem: OptimalControlProblem, state: NewtonState) -> Scalar:
+        """How far the end is from a point of Karush, Kuhn and Tucker, by the judge's own linearisation."""
+        linear = relinearise(problem, state.z, self.grid)
+        return stationarity(problem, state.z, linear, state.found, state.cost)
+
     def init(self, problem: OptimalControlProblem, z: Float[Array, "nodes variables"]) -> NewtonState:
         """State before the first subproblem, from an initial guess."""
         check_liftable(problem)
@@ -139,6 +151,7 @@ class NewtonSCP(eqx.Module):
             z=z,
             linear=linear,
             multipliers=no_multipliers(problem, linear.outputs),
+            found=no_program_multipliers(problem, z, linear),
             past=jax.tree.map(lambda v: jnp.broadcast_to(v, (MEMORY, *v.shape)), now),
             proximal=jnp.asarray(self.proximal, z.dtype),
             exact=jnp.zeros((), bool),
@@ -209,7 +222,9 @@ class NewtonSCP(eqx.Module):
         safe = worst_violation(problem, now) <= self.tolerance_defect
         closed = flown & safe
         small = jnp.abs(gain) <= self.tolerance * jnp.maximum(1.0, jnp.abs(now.cost))
-        optimal = accept & small & closed & (state.proximal <= EXACT_PROXIMAL)
+        left = stationarity(problem, candidate, linear, solution.multipliers, now.cost)
+        flat = left <= self.tolerance_gradient
+        optimal = accept & small & flat & closed & (state.proximal <= EXACT_PROXIMAL)
         stuck = proximal > MOST_PROXIMAL
         status = Status.where(safe, Status.iteration_limit, Status.constraints_unmet)
         status = Status.where(flown, status, Status.dynamics_unmet)
@@ -228,6 +243,7 @@ class NewtonSCP(eqx.Module):
             z=z,
             linear=choose(linear, state.linear),
             multipliers=choose(multipliers, state.multipliers),
+            found=choose(solution.multipliers, state.found),
             past=past,
             proximal=proximal,
             exact=exact,

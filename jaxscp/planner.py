@@ -1,6 +1,7 @@
 """The front door: a planner is a set of static choices; calling it plans one scenario."""
 
 import functools
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -13,9 +14,9 @@ from jaxscp.certificate import Certificate, acceptable, certify
 from jaxscp.initial_guess import initial_guess
 from jaxscp.landing import landing_problem
 from jaxscp.mission import LandingScenario
-from jaxscp.newton import NewtonSCP, NewtonState
+from jaxscp.newton import NewtonSCP
 from jaxscp.problem import OptimalControlProblem, node_times
-from jaxscp.scp import SCP, History, SCPState
+from jaxscp.scp import SCP, History
 from jaxscp.status import Status, StatusCode
 from jaxscp.trajectory import Trajectory
 from jaxscp.types import Count, Flag, Scalar
@@ -96,12 +97,13 @@ class Planner(eqx.Module):
     def conclude(
         self,
         problem: OptimalControlProblem,
-        state: SCPState | NewtonState,
+        state: Any,
         allocation: Int[Array, "intervals"],
     ) -> Solution:
-        """Certify what the iterations ended with."""
+        """Certify what the iterations ended with, the method's own state."""
         trajectory = trajectory_of(problem, state.z)
-        certificate = certify(problem, trajectory, self.samples)
+        optimality = self.method.optimality(problem, state)
+        certificate = certify(problem, trajectory, self.samples, optimality)
         refuted = (state.status == Status.converged) & ~acceptable(
             certificate, self.method.holds_between_nodes
         )

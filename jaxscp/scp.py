@@ -84,6 +84,9 @@ class SCP(eqx.Module):
         """Whether a converged answer claims to keep its constraints between the nodes too."""
         return False
 
+    def optimality(self, problem: OptimalControlProblem, state: SCPState) -> None:
+        """Nothing: where the trust region is priced by an unsquared norm, a stop says nothing of optimality."""
+
     def init(self, problem: OptimalControlProblem, z: Float[Array, "nodes variables"]) -> SCPState:
         """State before the first subproblem, from an initial guess."""
         zeros = jnp.zeros(self.max_iterations, z.dtype)

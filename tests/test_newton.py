@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from benchmarks.rivals.convert import as_arrays
-from jaxscp import NewtonSCP, Planner, scenarios, status_names
+from jaxscp import NewtonSCP, Planner, acceptable, scenarios, status_names
+from jaxscp.certificate import OPTIMALITY
 from tests.flights import random_nodes, short_problem
 
 MISSIONS = {"platform": scenarios.platform_to_platform, "ascend": scenarios.ascent_to_platform}
@@ -30,6 +31,9 @@ def test_optimal_by_ipopts_account_and_safe_between_nodes(mission):
         certificate = solution.certificate
         assert float(certificate.position_error) < 1e-3
         assert np.all(certificate.between_nodes <= certificate.allowed)
+        assert acceptable(certificate)
+        moving = eqx.tree_at(lambda c: c.optimality, certificate, 2.0 * jnp.asarray(OPTIMALITY))
+        assert not acceptable(moving)
         best = optimum.best(optimum.Optimum(as_arrays(scenario, planner.nodes)).solve(starts=1))
         assert abs(float(solution.cost) / best - 1.0) < SAME_COST
 

@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 from jaxscp.conic import block_tridiagonal
 from jaxscp.conic.batched import gram, inverse_factor, times, transpose_times
 from jaxscp.conic.cones import ConeVector, Scaling, SecondOrderScaling, tree_axpy
-from jaxscp.conic.program import StagedProgram
+from jaxscp.conic.program import Multipliers, StagedProgram
 
 
 class Primal(eqx.Module):
@@ -60,13 +60,19 @@ def times_constraints(program: StagedProgram, x: Primal) -> ConeVector:
 def times_constraints_transpose(program: StagedProgram, y: ConeVector) -> Primal:
     """A' y."""
     user, trust, virtual = unpack(program, y.second)
-    z = program.links.transpose_apply(link_multiplier(program, y))
-    z += transpose_times(program.rows.matrix, y.orthant)
-    for cone, multiplier in zip(program.cones, user, strict=True):
-        z += transpose_times(cone.matrix, multiplier)
+    z = transpose(program, Multipliers(link_multiplier(program, y), y.orthant, tuple(user)))
     if program.norm is not None:
         z -= program.norm.scale * trust[:, 1:]
     return Primal(z, -trust[:, 0], -virtual[:, 0])
+
+
+def transpose(program: StagedProgram, y: Multipliers) -> Float[Array, "nodes variables"]:
+    """What multipliers of links, half-spaces and cones add to the gradient of the Lagrangian."""
+    z = program.links.transpose_apply(y.links)
+    z += transpose_times(program.rows.matrix, y.rows)
+    for cone, multiplier in zip(program.cones, y.cones, strict=True):
+        z += transpose_times(cone.matrix, multiplier)
+    return z
 
 
 def right_side(program: StagedProgram) -> ConeVector:
