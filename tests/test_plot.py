@@ -1,5 +1,6 @@
 """Pictures: what is drawn, and that it is what was planned."""
 
+import dataclasses
 import subprocess
 import sys
 
@@ -13,6 +14,8 @@ from mpl_toolkits.mplot3d import Axes3D
 
 import jaxscp
 from jaxscp import plot
+from jaxscp.plot.curves import SAMPLES
+from jaxscp.plot.style import VERMILLION
 
 NODES = 20
 
@@ -72,7 +75,7 @@ def test_title_says_how_it_ended(figure, solution):
 def test_thrust_limits_are_drawn_and_in_view(panels, scenario):
     ax = panels["thrust [N]"]
     least, most = float(scenario.airframe.thrust_min[0]), float(scenario.airframe.thrust_max[0])
-    red = [line for line in ax.lines if to_rgb(line.get_color()) == to_rgb(plot.VERMILLION)]
+    red = [line for line in ax.lines if to_rgb(line.get_color()) == to_rgb(VERMILLION)]
     levels = sorted(line.get_ydata()[0] for line in red)
     assert levels == [least, most]
     bottom, top = ax.get_ylim()
@@ -91,7 +94,7 @@ def test_nodes_are_marked_on_the_flown_line(panels, solution):
     np.testing.assert_allclose(time, solution.trajectory.time)
     flown = np.interp(time, *lines["flown"].get_data())
     np.testing.assert_allclose(flown, speed, atol=0.01)
-    assert len(lines["flown"].get_xdata()) == (NODES - 1) * plot.SAMPLES
+    assert len(lines["flown"].get_xdata()) == (NODES - 1) * SAMPLES
 
 
 def test_convergence_has_one_point_an_iteration(panels, solution):
@@ -144,6 +147,32 @@ def test_drawing_needs_no_obstacles(scenario, solution):
     curves = plot.planned(solution)
     plot.draw_clearance(ax, bare, curves, curves)
     assert set(labelled(ax)) & {"to obstacle point", "vehicle radius"} == set()
+
+
+def test_limits_zones_and_gates_are_drawn_where_there_are_any(scenario, solution, scene):
+    asked = dataclasses.replace(
+        scenario,
+        limits=jaxscp.flight_limits(speed=4.0, tilt=0.5, body_rate=3.0),
+        keep_out=jaxscp.ellipsoids([[5.0, 0.5, 1.6]], [[0.6, 0.6, 1.0]]),
+        gates=jaxscp.ellipsoids([[5.0, 0.5, 2.6]], 0.2),
+        deck_velocity=jnp.array([0.5, 0.0, 0.0]),
+    )
+    page = plot.summary(asked, solution)
+    panels = {ax.get_ylabel(): labelled(ax) for ax in page.axes if not isinstance(ax, Axes3D)}
+    limits = {"speed [m/s]": 4.0, "tilt [deg]": np.degrees(0.5), "body rate [deg/s]": np.degrees(3.0)}
+    for label, limit in limits.items():
+        np.testing.assert_allclose(panels[label]["limit"].get_ydata(), limit, rtol=1e-6)
+    names = next(ax for ax in page.axes if isinstance(ax, Axes3D)).get_legend_handles_labels()[1]
+    assert {"keep-out zone", "gate"} <= set(names)
+    assert {"keep-out zone", "gate"} & set(scene.get_legend_handles_labels()[1]) == set()
+
+
+def test_a_moving_deck_is_drawn_where_it_is_met(scenario, solution):
+    moving = dataclasses.replace(scenario, deck_velocity=jnp.array([0.5, 0.0, 0.0]))
+    page = plot.summary(moving, solution)
+    goal = labelled(next(ax for ax in page.axes if isinstance(ax, Axes3D)))["goal"]
+    expected = np.asarray(scenario.goal.position) + np.array([0.5, 0.0, 0.0]) * float(solution.final_time)
+    np.testing.assert_allclose(np.ravel(goal.get_data_3d()), expected, rtol=1e-6)
 
 
 def test_plotting_leaves_pyplot_alone():

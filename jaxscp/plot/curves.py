@@ -1,0 +1,59 @@
+"""A flight as flat arrays over time, as planned and as flown: what the histories draw."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from jaxscp.certificate import Flight, fly
+from jaxscp.corridor.polytopes import Corridor
+from jaxscp.landing import landing_problem
+from jaxscp.mission import LandingScenario
+from jaxscp.planner import Solution
+
+SAMPLES = 24  # drawn points an interval
+
+Array = np.ndarray
+
+
+class Curves(NamedTuple):
+    """A flight as flat arrays over time: what the histories draw."""
+
+    time: Float[np.ndarray, "points"]
+    """s"""
+    state: Float[np.ndarray, "points 13"]
+    control: Float[np.ndarray, "points rotors"]
+    polytope: Array
+    """(points,) index of the corridor polytope in force."""
+
+
+def flown(scenario: LandingScenario, solution: Solution, samples: int = SAMPLES) -> Curves:
+    """The plan's controls flown again from the start, densely between the nodes."""
+    flight = _fly(scenario, solution, samples)
+    flat = jax.tree.map(lambda v: np.asarray(v).reshape(-1, *v.shape[2:]), flight)
+    return Curves(flat.time, flat.state, flat.control, np.repeat(np.asarray(solution.allocation), samples))
+
+
+def planned(solution: Solution) -> Curves:
+    """The plan at its nodes."""
+    path = solution.trajectory
+    cell = np.asarray(solution.allocation)
+    return Curves(
+        np.asarray(path.time), np.asarray(path.state), np.asarray(path.control), np.append(cell, cell[-1])
+    )
+
+
+@eqx.filter_jit
+def _fly(scenario: LandingScenario, solution: Solution, samples: int) -> Flight:
+    return fly(landing_problem(scenario, solution.allocation), solution.trajectory, samples)
+
+
+def corridor_margin(corridor: Corridor, curves: Curves) -> Array:
+    """Distance in m from each point to the nearest face of the polytope in force; negative outside it."""
+    normals = np.asarray(corridor.normals)[curves.polytope]
+    along = np.einsum("pfc,pc->pf", normals, curves.state[:, :3])
+    depth = np.asarray(corridor.offsets)[curves.polytope] - along
+    used = np.linalg.norm(normals, axis=2) > 1e-9
+    return np.min(np.where(used, depth, np.inf), axis=1)

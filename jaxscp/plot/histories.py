@@ -1,0 +1,96 @@
+"""How it flies: speed, tilt, body rate, thrusts and clearance over time, with their limits."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from matplotlib.axes import Axes
+from scipy.spatial import KDTree
+
+from jaxscp import rotations
+from jaxscp.mission import LandingScenario
+from jaxscp.plot.curves import Curves, corridor_margin
+from jaxscp.plot.style import BLACK, BLUE, DASHED, GREY, LEGEND, ROTORS, VERMILLION
+from jaxscp.types import Scalar
+
+
+def draw_histories(axes: Any, scenario: LandingScenario, curves: Curves, nodes: Curves) -> Any:
+    """Speed, tilt, body rate, thrusts and clearance over time on five axes, limits dashed."""
+    limits = scenario.limits
+    draw_speed(axes[0], curves, nodes, limits.speed)
+    draw_tilt(axes[1], curves, nodes, limits.tilt)
+    draw_body_rate(axes[2], curves, nodes, limits.body_rate)
+    bounds = (limits.speed, limits.tilt, limits.body_rate)
+    _legend_beside(axes[next((i for i, bound in enumerate(bounds) if bound is not None), 0)])
+    draw_thrusts(axes[3], scenario, curves, nodes)
+    draw_clearance(axes[4], scenario, curves, nodes)
+    for ax in axes:
+        ax.grid(color="0.9")
+        ax.set_axisbelow(True)
+        ax.margins(x=0.01)
+    axes[-1].set_xlabel("time [s]")
+    return axes
+
+
+def draw_speed(ax: Axes, curves: Curves, nodes: Curves, limit: Scalar | None = None) -> Axes:
+    """Speed in m/s, and the limit in m/s if there is one."""
+    speed = lambda c: np.linalg.norm(c.state[:, 3:6], axis=1)  # noqa: E731
+    return _curve(ax, curves, nodes, speed, "speed [m/s]", limit)
+
+
+def draw_tilt(ax: Axes, curves: Curves, nodes: Curves, limit: Scalar | None = None) -> Axes:
+    """Angle between the body's z axis and the vertical in degrees, and its limit, given in rad."""
+    angle = jax.vmap(rotations.tilt)
+    tilt = lambda c: np.degrees(angle(jnp.asarray(c.state[:, 6:10])))  # noqa: E731
+    return _curve(ax, curves, nodes, tilt, "tilt [deg]", None if limit is None else np.degrees(limit))
+
+
+def draw_body_rate(ax: Axes, curves: Curves, nodes: Curves, limit: Scalar | None = None) -> Axes:
+    """Norm of the body rate in degrees per second, and its limit, given in rad/s."""
+    rate = lambda c: np.degrees(np.linalg.norm(c.state[:, 10:13], axis=1))  # noqa: E731
+    return _curve(ax, curves, nodes, rate, "body rate [deg/s]", None if limit is None else np.degrees(limit))
+
+
+def draw_thrusts(ax: Axes, scenario: LandingScenario, curves: Curves, nodes: Curves) -> Axes:
+    """Thrust of each rotor in N, with the least and the greatest that it can give."""
+    for rotor in range(nodes.control.shape[1]):
+        color = ROTORS[rotor % len(ROTORS)]
+        ax.plot(curves.time, curves.control[:, rotor], color=color, linewidth=1.2, label=f"rotor {rotor + 1}")
+        ax.plot(nodes.time, nodes.control[:, rotor], "o", color=color, markersize=2.5)
+    limits = {*np.asarray(scenario.airframe.thrust_min), *np.asarray(scenario.airframe.thrust_max)}
+    for index, limit in enumerate(sorted(map(float, limits))):
+        ax.axhline(limit, color=VERMILLION, **DASHED, label="limits" if index == 0 else None)
+    ax.set_ylabel("thrust [N]")
+    _legend_beside(ax)
+    return ax
+
+
+def draw_clearance(ax: Axes, scenario: LandingScenario, curves: Curves, nodes: Curves) -> Axes:
+    """Distance in m to the corridor's nearest face (negative outside) and to the nearest obstacle point."""
+    ax.plot(curves.time, corridor_margin(scenario.corridor, curves), color=BLUE, label="to corridor face")
+    ax.plot(nodes.time, corridor_margin(scenario.corridor, nodes), "o", color=BLUE, markersize=3)
+    if scenario.obstacles is not None:
+        distance, _ = KDTree(np.asarray(scenario.obstacles)).query(curves.state[:, :3])
+        ax.plot(curves.time, distance, color=GREY, label="to obstacle point")
+        ax.axhline(float(scenario.airframe.radius), color=GREY, **DASHED, label="vehicle radius")
+    ax.axhline(0.0, color=VERMILLION, **DASHED, label="corridor limit")
+    bottom, top = ax.get_ylim()
+    ax.axhspan(min(bottom, 0.0), 0.0, color=VERMILLION, alpha=0.08, linewidth=0)
+    ax.set(ylabel="clearance [m]", ylim=(bottom, top))
+    _legend_beside(ax)
+    return ax
+
+
+def _curve(ax: Axes, curves: Curves, nodes: Curves, quantity: Any, label: str, limit: Any = None) -> Axes:
+    """One quantity: a line as flown, dots as planned, and its limit dashed."""
+    ax.plot(curves.time, quantity(curves), color=BLUE, linewidth=1.5, label="flown")
+    ax.plot(nodes.time, quantity(nodes), "o", color=BLACK, markersize=3, label="nodes")
+    if limit is not None:
+        ax.axhline(float(limit), color=VERMILLION, **DASHED, label="limit")
+    ax.set_ylabel(label)
+    return ax
+
+
+def _legend_beside(ax: Axes) -> None:
+    ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), **LEGEND)

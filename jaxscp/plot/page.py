@@ -1,0 +1,55 @@
+"""The whole plan on one page."""
+
+from typing import cast
+
+import numpy as np
+from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d import Axes3D
+
+from jaxscp.mission import LandingScenario
+from jaxscp.planner import Solution
+from jaxscp.plot.convergence import draw_convergence
+from jaxscp.plot.curves import flown, planned
+from jaxscp.plot.histories import draw_histories
+from jaxscp.plot.scene import draw_scene
+from jaxscp.plot.style import LEGEND
+from jaxscp.status import status_names
+
+
+def summary(scenario: LandingScenario, solution: Solution) -> Figure:
+    """The whole plan on one page: path, histories with their limits, convergence.
+
+    Example:
+        >>> import jaxscp
+        >>> from jaxscp import plot
+        >>> scenario = jaxscp.scenarios.ascent_to_platform()
+        >>> solution = jaxscp.Planner(nodes=20)(scenario)
+        >>> figure = plot.summary(scenario, solution)
+        >>> figure.savefig("plan.png")  # doctest: +SKIP
+    """
+    curves, nodes = flown(scenario, solution), planned(solution)
+    figure = Figure(figsize=(14.0, 9.0))
+    scene = cast(Axes3D, figure.add_axes((0.0, 0.27, 0.56, 0.64), projection="3d"))
+    below = figure.add_gridspec(1, 3, left=0.055, right=0.55, bottom=0.065, top=0.225, wspace=0.42)
+    right = figure.add_gridspec(5, 1, left=0.635, right=0.885, bottom=0.065, top=0.945, hspace=0.12)
+    draw_scene(scene, scenario, curves, nodes)
+    figure.legend(
+        *scene.get_legend_handles_labels(), loc="upper left", bbox_to_anchor=(0.01, 0.95), **LEGEND, ncols=6
+    )
+    draw_convergence(below.subplots(), solution)
+    histories = draw_histories(right.subplots(sharex=True), scenario, curves, nodes)
+    figure.align_ylabels(histories)
+    figure.suptitle(headline(solution), y=0.98, fontsize=12)
+    return figure
+
+
+def headline(solution: Solution) -> str:
+    """What the picture shows, in one line; the worst violation in SI units."""
+    between = np.asarray(solution.certificate.between_nodes)
+    worst = solution.certificate.names[int(between.argmax())]
+    status = str(status_names(solution.status)).replace("_", " ")
+    return (
+        f"{status} after {int(solution.iterations)} iterations:  "
+        f"cost {float(solution.cost):.4g},  flight time {float(solution.final_time):.2f} s,  "
+        f"worst violation between nodes {between.max():.2g} ({worst})"
+    )
