@@ -2,15 +2,18 @@
 
 Run ``python -m benchmarks.corridors``; ``--json`` prints the same figures for machines, ``--maps`` sets
 how many random maps of the four kinds are flown through, ``--real`` names a folder of clouds and meshes to
-add, and ``--batch`` also times so many maps at once on whatever device JAX finds (meant for a GPU).
+add, ``--lanes`` says how many of the corridors are planned through at once, and ``--batch`` also times so many
+maps at once on whatever device JAX finds (both meant for a GPU).
 """
 
 import argparse
+import dataclasses
 import json
 import os
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 
 import jax
@@ -19,7 +22,7 @@ import numpy as np
 from jaxtyping import Array, Bool, ScalarLike
 from scipy.spatial import KDTree
 
-from jaxscp import maps
+from jaxscp import LandingScenario, Planner, at_rest, maps, status_names
 from jaxscp.corridor import (
     CorridorResult,
     Decomposition,
@@ -30,6 +33,7 @@ from jaxscp.corridor import (
     build_corridor,
     chain,
     find_route,
+    pad,
     read_cloud,
 )
 from jaxscp.corridor.build import legs
@@ -38,9 +42,11 @@ from jaxscp.corridor.decompose import Seed
 from jaxscp.corridor.ellipsoids import Columns, around_segment
 from jaxscp.corridor.halfspaces import Cuts, cut_away
 from jaxscp.corridor.shapes import needed_faces, volume
+from jaxscp.scenarios import through
 
 RADIUS = 0.25
 CLEARANCE = 0.1
+NODES = 30
 ROUNDING = 1e-9
 
 
@@ -107,13 +113,12 @@ def seeds_outside(result: CorridorResult) -> int:
     return int(np.sum(gaps.min(axis=(1, 2)) < -ROUNDING))
 
 
-def safety(places: list[maps.Map], plans: Callable[[CorridorResult, maps.Map], bool] | None = None) -> dict:
-    """Build a corridor in every map by the default method, and check it against the cloud as given.
-
-    ``plans`` says of a corridor whether a planner flies it with a certificate; given one, the share is added.
-    """
-    found = narrow = unresolved = no_route = crashed = planned = inside = cut = polytopes = 0
+def safety(places: list[maps.Map], lanes: int) -> dict:
+    """Build a corridor in every map by the default method, and check it against the cloud as given; then plan through
+    it, ``lanes`` at once (none: no plans)."""
+    found = narrow = unresolved = no_route = crashed = inside = cut = polytopes = 0
     least, reasons = np.inf, []
+    scenarios: list[LandingScenario] = []
     for place in places:
         try:
             result = build_corridor(
@@ -142,7 +147,8 @@ def safety(places: list[maps.Map], plans: Callable[[CorridorResult, maps.Map], b
         polytopes += len(result.seeds)
         if len(result.overlaps):
             least = min(least, float(result.overlaps.min()))
-        planned += bool(plans and plans(result, place))
+        if result.found and result.corridor is not None:
+            scenarios.append(through(result.corridor, at_rest(place.start), at_rest(place.goal)))
     solvable = len(places) - no_route
     report = {
         "maps": len(places),
@@ -158,7 +164,27 @@ def safety(places: list[maps.Map], plans: Callable[[CorridorResult, maps.Map], b
         "min_overlap_m": least,
         "reasons": reasons,
     }
-    return report | ({"planned_share": planned / solvable} if plans else {})
+    if not (lanes and scenarios):
+        return report
+    statuses = plan_statuses(scenarios, lanes)
+    report["planned_share"] = statuses.get("converged", 0) / solvable
+    return report | {"plans": statuses}
+
+
+def plan_statuses(scenarios: list[LandingScenario], lanes: int) -> dict[str, int]:
+    """How the default planner ends, over corridors padded to one shape; how many of each status."""
+    count = max(s.corridor.count for s in scenarios)
+    faces = max(s.corridor.offsets.shape[1] for s in scenarios)
+    padded = [
+        dataclasses.replace(s, corridor=pad(s.corridor, s.goal.position, count, faces)) for s in scenarios
+    ]
+    plan = jax.vmap(Planner(nodes=NODES))
+    statuses: Counter[str] = Counter()
+    for first in range(0, len(padded), lanes):
+        batch = [padded[min(first + lane, len(padded) - 1)] for lane in range(lanes)]
+        solution = plan(jax.tree.map(lambda *leaves: jnp.stack(leaves), *batch))
+        statuses.update(map(str, status_names(solution.status)[: len(padded) - first]))
+    return dict(statuses)
 
 
 def sizes(places: list[maps.Map]) -> dict:
@@ -288,6 +314,7 @@ def main() -> None:
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--maps", type=int, default=500, help="random maps in the check of safety")
     parser.add_argument("--sized", type=int, default=40, help="random maps in the comparison of volumes")
+    parser.add_argument("--lanes", type=int, default=1, help="corridors planned through at once; 0: none")
     parser.add_argument("--batch", type=int, default=0, help="maps to build corridors in at once")
     folder = Path(os.environ.get("JAXSCP_MAPS", Path(__file__).parents[2] / "shared" / "maps"))
     parser.add_argument("--real", type=Path, default=folder, help="folder of real clouds and meshes")
@@ -297,13 +324,13 @@ def main() -> None:
 
     report = {}
     if options.maps:
-        report["safety"] = safety(list(random_maps(options.maps)))
+        report["safety"] = safety(list(random_maps(options.maps)), options.lanes)
     if options.sized:
         report["sizes"] = sizes(list(random_maps(options.sized)))
         report["ms_12_polytopes"] = milliseconds()
     real = list(real_maps(options.real)) if options.real.is_dir() else []
     if real:
-        report["real"] = safety(real)
+        report["real"] = safety(real, options.lanes)
     if options.batch:
         report["batched"] = batched(options.batch)
     if options.json:

@@ -7,9 +7,13 @@ from jaxtyping import Array, Float, Int
 from jaxscp.corridor.polytopes import Corridor
 from jaxscp.types import Points, Vector3
 
+LANDING = 5  # intervals, the last ones, that lie in the landing cone
+IN_LAST = LANDING + 1  # intervals in the last polytope: the others may not reach the cone, so one leads there
+
 
 def allocate(corridor: Corridor, start: Vector3, goal: Vector3, nodes: int) -> Int[Array, "intervals"]:
-    """Polytope of every interval: shares by the length of the route start, joints, goal; at least one each.
+    """Polytope of every interval: shares by the length of the route start, joints, goal; at least one each, and
+    the last what a landing takes, where there are intervals enough.
 
     The time dilation adapts the mesh afterwards (Remark 1 of the paper).
     """
@@ -17,7 +21,9 @@ def allocate(corridor: Corridor, start: Vector3, goal: Vector3, nodes: int) -> I
     length = jnp.cumsum(jnp.linalg.norm(jnp.diff(route, axis=0), axis=1))
     spare = nodes - 1 - corridor.count
     share = length[:-1] / jnp.maximum(length[-1], 1e-9)
-    ends = jnp.arange(1, corridor.count) + jnp.round(spare * share).astype(int)
+    least = jnp.arange(1, corridor.count)
+    ends = least + jnp.round(spare * share).astype(int)
+    ends = jnp.maximum(jnp.minimum(ends, nodes - 1 - IN_LAST - least[::-1] + 1), least)
     return jnp.searchsorted(ends, jnp.arange(nodes - 1), side="right", method="compare_all").astype(int)
 
 

@@ -1,4 +1,4 @@
-"""The command line: plan a scenario, print what happened, write the trajectory and a picture.
+"""The command line: plan a scenario, or through a point cloud; print what happened, write the trajectory and a picture.
 
 An application, so it may choose the precision for its process (``main`` switches float64 on) and its exit
 codes: 0 the plan converged, 1 it did not, 2 the request was wrong.
@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import typer
 from rich.console import Console
@@ -20,7 +21,8 @@ from rich.table import Table
 
 from jaxscp import scenarios
 from jaxscp.convexify import NormTrustRegion, ProximalTrustRegion
-from jaxscp.mission import LandingScenario
+from jaxscp.corridor import box, build_corridor, read_cloud
+from jaxscp.mission import LandingScenario, at_rest
 from jaxscp.planner import Planner, Solution
 from jaxscp.scp import SCP
 from jaxscp.status import Status, status_names
@@ -71,9 +73,9 @@ def _one_of(table: dict[str, Any]) -> str:
     return f"One of: {', '.join(table)}."
 
 
-def _known(table: dict[str, Any], what: str) -> Callable[[str], str]:
-    def check(name: str) -> str:
-        if name not in table:
+def _known(table: dict[str, Any], what: str) -> Callable[[str | None], str | None]:
+    def check(name: str | None) -> str | None:
+        if name is not None and name not in table:
             raise typer.BadParameter(f"no {what} is called {name!r}; choose from {', '.join(table)}")
         return name
 
@@ -104,16 +106,45 @@ def _picture(path: Path | None) -> Path | None:
     return _writable(path)
 
 
+Place = tuple[float, float, float]
+PICTURED = 0.1  # m, between the points of a cloud that pictures show
+
+
 @app.command()
 def plan(
     case: Annotated[
-        str,
+        str | None,
         typer.Argument(callback=_known(CASES, "case"), metavar="CASE", help=_one_of(CASES)),
-    ],
+    ] = None,
     mode: Annotated[
         str, typer.Option(callback=_known(MODES, "mode"), metavar="NAME", help=_one_of(MODES))
     ] = "default",
     nodes: Annotated[int, typer.Option(min=2, help="Nodes N; the flight has N - 1 intervals.")] = 30,
+    cloud: Annotated[
+        Path | None,
+        typer.Option(help="Instead of a case: obstacles, .pcd .ply .xyz .npy .stl or .obj.", metavar="FILE"),
+    ] = None,
+    start: Annotated[
+        Place | None, typer.Option(help="With --cloud: where to start, m.", metavar="X Y Z")
+    ] = None,
+    goal: Annotated[
+        Place | None, typer.Option(help="With --cloud: where to land, m.", metavar="X Y Z")
+    ] = None,
+    radius: Annotated[
+        float, typer.Option(min=0.0, help="With --cloud: distance to keep from points, m.")
+    ] = 0.25,
+    crop: Annotated[
+        float,
+        typer.Option(
+            min=0.0, help="With --cloud: ignore points so near to start or goal, m; their decks, say."
+        ),
+    ] = 0.0,
+    lower: Annotated[
+        Place | None, typer.Option(help="With --cloud: lower corner of where to fly, m.", metavar="X Y Z")
+    ] = None,
+    upper: Annotated[
+        Place | None, typer.Option(help="With --cloud: upper corner of where to fly, m.", metavar="X Y Z")
+    ] = None,
     save: Annotated[
         Path | None, typer.Option(callback=_writable, help="Write the trajectory (.npz).", metavar="FILE")
     ] = None,
@@ -123,23 +154,40 @@ def plan(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of tables.")] = False,
 ) -> None:
-    """Plan a flight from a standing start to a landing.
+    """Plan a flight from a standing start to a landing: a stored case, or through a point cloud.
 
     Exit code: 0 if the plan converged, 1 if it did not, 2 if the request was wrong.
     """
-    scenario, planner = CASES[case](), MODES[mode](nodes)
+    notes = Console(stderr=True, style="dim")
+    if cloud is None:
+        if case is None:
+            raise typer.BadParameter(f"name a case ({', '.join(CASES)}), or give --cloud, --start and --goal")
+        if any(v is not None for v in (start, goal, lower, upper)):
+            raise typer.BadParameter("--start, --goal, --lower and --upper go with --cloud")
+        scenario, name = CASES[case](), case
+    else:
+        if case is not None or start is None or goal is None:
+            raise typer.BadParameter("--cloud needs --start and --goal, and no case")
+        found = _corridor(cloud, start, goal, radius, crop, lower, upper)
+        notes.print(found.message)
+        name = cloud.name
+        if isinstance(found, NoCorridor):
+            if as_json:
+                typer.echo(json.dumps({"case": name, "status": "no_corridor", "message": found.message}))
+            raise typer.Exit(1)
+        scenario = found.scenario
+    planner = MODES[mode](nodes)
     try:
         validate(scenario, nodes)
     except InvalidScenario as error:
         raise typer.BadParameter(str(error)) from error
-    notes = Console(stderr=True, style="dim")
-    notes.print(f"planning {case}, mode {mode}, {nodes} nodes: compiling first ...")
+    notes.print(f"planning {name}, mode {mode}, {nodes} nodes: compiling first ...")
     solution, timing = timed(planner, scenario)
     if as_json:
-        facts = {"case": case, "mode": mode, "nodes": nodes, **report(solution, timing)}
+        facts = {"case": name, "mode": mode, "nodes": nodes, **report(solution, timing)}
         typer.echo(json.dumps(facts, allow_nan=False))
     else:
-        print_report(Console(), f"{case}, mode {mode}, {nodes} nodes", solution, timing)
+        print_report(Console(), f"{name}, mode {mode}, {nodes} nodes", solution, timing)
     if save is not None:
         solution.trajectory.save(save)
     if plot is not None:
@@ -147,6 +195,45 @@ def plan(
 
         summary(scenario, solution).savefig(plot, dpi=80)
     raise typer.Exit(0 if converged(solution) else 1)
+
+
+class ThroughCloud(NamedTuple):
+    """A scenario made from a cloud, and its corridor in a sentence."""
+
+    scenario: LandingScenario
+    message: str
+
+
+class NoCorridor(NamedTuple):
+    """Why a cloud left no corridor."""
+
+    message: str
+
+
+def _corridor(
+    file: Path,
+    start: Place,
+    goal: Place,
+    radius: float,
+    crop: float,
+    lower: Place | None,
+    upper: Place | None,
+) -> ThroughCloud | NoCorridor:
+    """Read a cloud and build the corridor; what is wrong with the request is said as such."""
+    first, last = np.array(start), np.array(goal)
+    low, high = (None if corner is None else np.array(corner) for corner in (lower, upper))
+    decks = [box(place - crop, place + crop) for place in (first, last)] if crop else []
+    try:
+        obstacles = read_cloud(file)
+        result = build_corridor(obstacles, first, last, radius, lower=low, upper=high, remove=decks)
+    except (ValueError, OSError, ImportError) as error:
+        raise typer.BadParameter(str(error)) from error
+    if result.corridor is None or not result.found:
+        return NoCorridor(result.message)
+    points = jnp.asarray(obstacles.thinned(PICTURED).points)
+    return ThroughCloud(
+        scenarios.through(result.corridor, at_rest(first), at_rest(last), points), result.message
+    )
 
 
 def timed(planner: Planner, scenario: LandingScenario) -> tuple[Solution, Timing]:

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxscp import rotations
-from jaxscp.allocation import gate_nodes, route_positions
+from jaxscp.allocation import LANDING, gate_nodes, route_positions
 from jaxscp.constraints import (
     DISTANCE,
     AcrossIntervals,
@@ -32,7 +32,6 @@ from jaxscp.mission import LandingScenario, Weights
 from jaxscp.problem import Boundary, FixedComponents, OptimalControlProblem, fixed_components
 from jaxscp.types import Scalar
 
-CONE_NODES = 6  # the last six nodes lie in the landing cone, as in the paper
 SHARE = 1e-3  # of a limit: violation that counts as none
 
 
@@ -49,7 +48,7 @@ def flight_time(state, time, weights: Weights) -> Scalar:
 def in_cone(nodes: int) -> Bool[Array, "nodes"]:
     """The nodes held in the landing cone: the last six, less the very last, which the goal fixes at the apex."""
     index = jnp.arange(nodes)
-    return (index >= nodes - CONE_NODES) & (index < nodes - 1)
+    return (index >= nodes - 1 - LANDING) & (index < nodes - 1)
 
 
 class Pose(eqx.Module):

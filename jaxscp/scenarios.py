@@ -53,7 +53,25 @@ def ascent_to_platform() -> LandingScenario:
     return _mission(at_rest([0.0, 0.0, 1.0]), at_rest([5.0, 3.0, 4.7]), corridor, obstacles)
 
 
-def _mission(start: BodyState, goal: BodyState, corridor: Corridor, obstacles) -> LandingScenario:
+def through(
+    corridor: Corridor, start: BodyState, goal: BodyState, obstacles: Points | None = None
+) -> LandingScenario:
+    """The paper's vehicle, cone and weights in a corridor of one's own.
+
+    Args:
+        corridor: from ``jaxscp.corridor.build_corridor``, or by hand.
+        start: where the flight begins, ``jaxscp.at_rest(position, yaw)`` say.
+        goal: where it lands.
+        obstacles: (points, 3) in m, for pictures.
+
+    Example:
+        >>> import jaxscp
+        >>> room = jaxscp.corridor.box([0.0, 0.0, 0.0], [6.0, 4.0, 3.0])
+        >>> corridor = jaxscp.corridor.connect([room], joints=[])
+        >>> ends = jaxscp.at_rest([1.0, 2.0, 1.0]), jaxscp.at_rest([5.0, 2.0, 1.0])
+        >>> float(jaxscp.scenarios.through(corridor, *ends).airframe.body.mass)
+        0.928
+    """
     return LandingScenario(
         airframe=paper_mav(),
         start=start,
@@ -63,8 +81,13 @@ def _mission(start: BodyState, goal: BodyState, corridor: Corridor, obstacles) -
         weights=Weights(control=jnp.asarray(1.0), time=jnp.asarray(0.0)),
         dilation_min=jnp.asarray(0.5),
         dilation_max=jnp.asarray(20.0),
-        obstacles=jnp.concatenate([_surface(*map(np.asarray, corners)) for corners in obstacles]),
+        obstacles=obstacles,
     )
+
+
+def _mission(start: BodyState, goal: BodyState, corridor: Corridor, obstacles) -> LandingScenario:
+    surfaces = [_surface(*map(np.asarray, corners)) for corners in obstacles]
+    return through(corridor, start, goal, jnp.concatenate(surfaces))
 
 
 def _surface(lower: np.ndarray, upper: np.ndarray) -> Points:

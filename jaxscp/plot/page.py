@@ -30,7 +30,7 @@ def summary(scenario: LandingScenario, solution: Solution) -> Figure:
     curves, nodes = flown(scenario, solution), planned(solution)
     figure = Figure(figsize=(14.0, 9.0))
     scene = cast(Axes3D, figure.add_axes((0.0, 0.27, 0.56, 0.64), projection="3d"))
-    below = figure.add_gridspec(1, 3, left=0.055, right=0.55, bottom=0.065, top=0.225, wspace=0.42)
+    below = figure.add_gridspec(1, 3, left=0.055, right=0.55, bottom=0.065, top=0.225, wspace=0.52)
     right = figure.add_gridspec(5, 1, left=0.635, right=0.885, bottom=0.065, top=0.945, hspace=0.12)
     draw_scene(scene, scenario, curves, nodes)
     figure.legend(
