@@ -135,6 +135,7 @@ def wall(tmp_path_factory):
     return file
 
 
+@pytest.mark.slow
 def test_a_cloud_is_flown_through(wall, tmp_path):
     limits = ["--lower", "-5", "-3", "0.2", "--upper", "5", "3", "4.8"]
     drawn = ["--json", "--plot", tmp_path / "wall.png", "--save", tmp_path / "wall.npz"]
