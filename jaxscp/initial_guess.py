@@ -21,9 +21,8 @@ from jaxscp.types import Controls, Nodes, Scalar, States, Vector3
 # A guess needs no more: within a percent of the least effort. Its units do what equilibration would.
 GUESS_CONIC = InteriorPoint(tolerance=1e-2, refinements=0, equilibration=0)
 GUESS_VIOLATION = 1e-3  # of the route, that such a guess may leave the corridor or the cone by
-GUESS_PRICE = (
-    0.1  # of a unit of effort: multipliers then have the size of the slacks, which saves Newton steps
-)
+# Of a unit of effort: multipliers then have the size of the slacks, which saves Newton steps.
+GUESS_PRICE = 0.1
 
 SHARE_OF_THRUST = (
     0.4  # of what full thrust leaves after hovering: the guess's acceleration, which sets its flight time

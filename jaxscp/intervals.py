@@ -6,6 +6,8 @@ points by a margin: where a value's second difference over three points is d, th
 d / 8 at most (to fourth order), so that much, and a tenth more, is asked for at the points.
 """
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -82,12 +84,15 @@ def evaluate(problem: OptimalControlProblem, z: Float[Array, "nodes variables"],
 
 
 def linearise(
-    problem: OptimalControlProblem, z: Float[Array, "nodes variables"], grid: Grid
+    problem: OptimalControlProblem,
+    z: Float[Array, "nodes variables"],
+    grid: Grid,
+    outputs: Callable[..., Outputs] = interval_outputs,
 ) -> Linearisation:
-    """Outputs of every interval and their Jacobians, by forward mode through the integration."""
+    """Outputs of every interval and their Jacobians, by forward mode through the integration that ``outputs`` does."""
 
-    def one(w, p):
-        push = lambda v: jax.jvp(lambda w: interval_outputs(problem, w, p, grid), (w,), (v,))  # noqa: E731
+    def one(w, given):
+        push = lambda v: jax.jvp(lambda w: outputs(problem, w, given, grid), (w,), (v,))  # noqa: E731
         return Linearisation(*jax.vmap(push, out_axes=(None, -1))(jnp.eye(w.shape[0], dtype=w.dtype)))
 
     return jax.vmap(one)(interval_inputs(problem, z), interval_data(problem, grid))

@@ -44,13 +44,6 @@ def residual(outputs: Outputs, terminal: Scalar, z: Float[Array, "nodes variable
     return Residual(jnp.sum(outputs.cost) + terminal, defect, outputs.values)
 
 
-def no_multipliers(problem: OptimalControlProblem, outputs: Outputs) -> PathMultipliers:
-    """Zeros, for the start."""
-    return PathMultipliers(
-        jnp.zeros_like(outputs.end), jax.tree.map(jnp.zeros_like, outputs.values), jnp.zeros(problem.nodes)
-    )
-
-
 def hessians(
     problem: OptimalControlProblem, z: Float[Array, "nodes variables"], y: PathMultipliers, grid: Grid
 ) -> Float[Array, "intervals inputs inputs"]:

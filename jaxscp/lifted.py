@@ -53,6 +53,21 @@ def lifted_program(
     )
 
 
+def linear_program(
+    problem: OptimalControlProblem, z: Float[Array, "nodes variables"], linear: Linearisation
+) -> StagedProgram:
+    """The subproblem without curvature, for what does not depend on that or on prices: its constraints and the
+    gradient of the cost."""
+    inputs = linear.jacobian.end.shape[-1]
+    flat = jnp.zeros((problem.nodes, inputs, inputs), z.dtype)
+    return lifted_program(problem, z, linear, flat, flat[:, 0], jnp.inf)
+
+
+def stage_sizes(problem: OptimalControlProblem, sizes: Float[Array, "variables"]) -> Float[Array, "inputs"]:
+    """Sizes of a node's variables, for a stage's."""
+    return jnp.concatenate([sizes, sizes[problem.state_size :]])
+
+
 def buffered(problem: OptimalControlProblem) -> bool:
     """Whether stages have a virtual buffer."""
     return not all(c.convex for c in problem.constraints)
@@ -81,13 +96,11 @@ def path_multipliers(
     return PathMultipliers(found.links[1:-1, :states], tuple(values), dilation)
 
 
-def no_program_multipliers(
+def no_multipliers(
     problem: OptimalControlProblem, z: Float[Array, "nodes variables"], linear: Linearisation
 ) -> Multipliers:
     """Zeros in the shape of a subproblem's multipliers."""
-    inputs = linear.jacobian.end.shape[-1]
-    flat = jnp.zeros((problem.nodes, inputs, inputs), z.dtype)
-    program = lifted_program(problem, z, linear, flat, flat[:, 0], 0.0)
+    program = linear_program(problem, z, linear)
     offsets = Multipliers(program.links.offset, program.rows.offset, tuple(c.offset for c in program.cones))
     return jax.tree.map(jnp.zeros_like, offsets)
 

@@ -25,11 +25,9 @@ from jaxscp.curvature import Chain, Convex, condensed, projected
 from jaxscp.discretise import interval_inputs
 from jaxscp.intervals import Grid, Linearisation, evaluate, linearise
 from jaxscp.lagrangian import (
-    PathMultipliers,
     Residual,
     hessians,
     merit,
-    no_multipliers,
     residual,
     worst_violation,
 )
@@ -39,12 +37,13 @@ from jaxscp.lifted import (
     end_condition,
     lifted_links,
     lifted_program,
-    no_program_multipliers,
+    no_multipliers,
     node_step,
     path_multipliers,
+    stage_sizes,
 )
 from jaxscp.lifted import check as check_liftable
-from jaxscp.problem import OptimalControlProblem, node_times
+from jaxscp.problem import OptimalControlProblem, node_times, typical_sizes
 from jaxscp.relinearise import relinearise
 from jaxscp.scp import History
 from jaxscp.stationarity import stationarity
@@ -73,10 +72,8 @@ class NewtonState(eqx.Module):
     """The reference: the last accepted iterate."""
     linear: Linearisation
     """Its intervals."""
-    multipliers: PathMultipliers
+    multipliers: Multipliers
     """Of the subproblem that led to it."""
-    found: Multipliers
-    """The same, in the subproblem's own shape."""
     past: Residual
     """The last accepted points, newest first."""
     proximal: Scalar
@@ -139,7 +136,7 @@ class NewtonSCP(eqx.Module):
     def optimality(self, problem: OptimalControlProblem, state: NewtonState) -> Scalar:
         """How far the end is from a point of Karush, Kuhn and Tucker, by the judge's own linearisation."""
         linear = relinearise(problem, state.z, self.grid)
-        return stationarity(problem, state.z, linear, state.found, state.cost)
+        return stationarity(problem, state.z, linear, state.multipliers, state.cost)
 
     def init(self, problem: OptimalControlProblem, z: Float[Array, "nodes variables"]) -> NewtonState:
         """State before the first subproblem, from an initial guess."""
@@ -150,12 +147,11 @@ class NewtonSCP(eqx.Module):
         return NewtonState(
             z=z,
             linear=linear,
-            multipliers=no_multipliers(problem, linear.outputs),
-            found=no_program_multipliers(problem, z, linear),
+            multipliers=no_multipliers(problem, z, linear),
             past=jax.tree.map(lambda v: jnp.broadcast_to(v, (MEMORY, *v.shape)), now),
             proximal=jnp.asarray(self.proximal, z.dtype),
             exact=jnp.zeros((), bool),
-            scale=jnp.maximum(jnp.max(jnp.abs(z), axis=0), 1.0),
+            scale=typical_sizes(z),
             cost=now.cost,
             iterations=jnp.zeros((), int),
             status=Status.iteration_limit,
@@ -165,11 +161,12 @@ class NewtonSCP(eqx.Module):
 
     def step(self, problem: OptimalControlProblem, state: NewtonState) -> NewtonState:
         """Solve one subproblem; take its answer, corrected, if the merit agrees."""
-        scale = jnp.concatenate([state.scale, state.scale[problem.state_size :]])
+        scale = stage_sizes(problem, state.scale)
         now = jax.tree.map(lambda v: v[0], state.past)
-        true_hessian = hessians(problem, state.z, state.multipliers, self.grid)
+        before = path_multipliers(problem, state.linear, state.multipliers)
+        true_hessian = hessians(problem, state.z, before, self.grid)
         clipped = projected(_scaled(true_hessian, scale))
-        active = active_set(problem, state.linear, state.multipliers, scale)
+        active = active_set(problem, state.linear, before, scale)
         hessian, gradient = _model(problem, state, now, true_hessian, clipped, active, scale)
         program = lifted_program(problem, state.z, state.linear, hessian, gradient, self.virtual_weight)
         solution = self.conic(program)
@@ -242,12 +239,11 @@ class NewtonSCP(eqx.Module):
         return NewtonState(
             z=z,
             linear=choose(linear, state.linear),
-            multipliers=choose(multipliers, state.multipliers),
-            found=choose(solution.multipliers, state.found),
+            multipliers=choose(solution.multipliers, state.multipliers),
             past=past,
             proximal=proximal,
             exact=exact,
-            scale=jnp.maximum(state.scale, jnp.max(jnp.abs(z), axis=0)),
+            scale=jnp.maximum(state.scale, typical_sizes(z)),
             cost=now.cost,
             iterations=state.iterations + 1,
             status=Status.where(optimal, Status.converged, status),
@@ -275,7 +271,7 @@ class NewtonSCP(eqx.Module):
         a finer integration, since optimal flights have long intervals in which the error of the usual one shows.
         Where too much is near a limit for that, the last rounds may use up some."""
         grid = Grid(FINER * self.grid.substeps, self.grid.points)
-        scale = jnp.concatenate([state.scale, state.scale[problem.state_size :]])
+        scale = stage_sizes(problem, state.scale)
         inputs = scale.shape[0]
         # Plain least change: the multipliers may be far from those of the point, if the loop was cut short.
         metric = jnp.broadcast_to(jnp.eye(inputs), (problem.nodes - 1, inputs, inputs))

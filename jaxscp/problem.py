@@ -116,6 +116,18 @@ class OptimalControlProblem(eqx.Module):
         return jnp.concatenate([derivative, *carried]), cost
 
 
+def typical_sizes(z: Float[Array, "nodes variables"]) -> Float[Array, "variables"]:
+    """The largest that each of a node's variables becomes, at least one.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from jaxscp.problem import typical_sizes
+        >>> typical_sizes(jnp.array([[0.5, -3.0], [0.2, 2.0]])).tolist()
+        [1.0, 3.0]
+    """
+    return jnp.maximum(jnp.max(jnp.abs(z), axis=0), 1.0)
+
+
 def node_times(dilation: Nodes) -> Nodes:
     """Times of the nodes in seconds: the exact integral of a first-order-hold dilation.
 

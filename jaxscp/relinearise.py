@@ -1,12 +1,10 @@
 """The judge's own linearisation of every interval, by an eighth-order method that the solver does not use."""
 
-import jax
 import jax.numpy as jnp
 from diffrax import ConstantStepSize, Dopri8, ForwardMode, ODETerm, SaveAt, diffeqsolve
 from jaxtyping import Array, Float
 
-from jaxscp.discretise import interval_inputs
-from jaxscp.intervals import Grid, Linearisation, Outputs, interval_data, path_outputs
+from jaxscp.intervals import Grid, Linearisation, Outputs, linearise, path_outputs
 from jaxscp.problem import OptimalControlProblem
 
 
@@ -14,15 +12,10 @@ def relinearise(
     problem: OptimalControlProblem, z: Float[Array, "nodes variables"], grid: Grid
 ) -> Linearisation:
     """What ``intervals.linearise`` says, one step of the method for every stretch between two points."""
-
-    def one(w, given):
-        push = lambda v: jax.jvp(lambda w: _fly(problem, w, given, grid), (w,), (v,))  # noqa: E731
-        return Linearisation(*jax.vmap(push, out_axes=(None, -1))(jnp.eye(w.shape[0], dtype=w.dtype)))
-
-    return jax.vmap(one)(interval_inputs(problem, z), interval_data(problem, grid))
+    return linearise(problem, z, grid, _outputs)
 
 
-def _fly(problem: OptimalControlProblem, w: Float[Array, "inputs"], given, grid: Grid) -> Outputs:
+def _outputs(problem: OptimalControlProblem, w: Float[Array, "inputs"], given, grid: Grid) -> Outputs:
     n, m = problem.state_size, problem.dynamics.control_size + 1
     start, first, last = w[:n], w[n : n + m], w[n + m :]
     shares = jnp.linspace(0.0, 1.0, grid.points + 1, dtype=w.dtype)

@@ -11,8 +11,8 @@ from jaxtyping import Array, Float
 from jaxscp.conic import kkt
 from jaxscp.conic.program import Multipliers
 from jaxscp.intervals import Linearisation
-from jaxscp.lifted import lifted_program
-from jaxscp.problem import OptimalControlProblem
+from jaxscp.lifted import linear_program, stage_sizes
+from jaxscp.problem import OptimalControlProblem, typical_sizes
 from jaxscp.types import Scalar
 
 
@@ -33,8 +33,7 @@ def stationarity(
         multipliers: of the lifted subproblem that led to it.
         cost: of the point.
     """
-    size = jnp.maximum(jnp.max(jnp.abs(z), axis=0), 1.0)
-    size = jnp.concatenate([size, size[problem.state_size :]])
+    size = stage_sizes(problem, typical_sizes(z))
     gradient = lagrangian_gradient(problem, z, linear, multipliers)
     return jnp.max(jnp.abs(gradient * size)) / jnp.maximum(1.0, jnp.abs(cost))
 
@@ -46,8 +45,6 @@ def lagrangian_gradient(
     multipliers: Multipliers,
 ) -> Float[Array, "nodes inputs"]:
     """By stages w_i = (x_i, U_i, U_{i+1}): two stages that share a node's controls each have a share of its part."""
-    inputs = linear.jacobian.end.shape[-1]
-    flat = jnp.zeros((problem.nodes, inputs, inputs), z.dtype)
-    program = lifted_program(problem, z, linear, flat, flat[:, 0], jnp.inf)
+    program = linear_program(problem, z, linear)
     gradient = program.gradient + kkt.transpose(program, multipliers)
-    return gradient[:, :inputs]  # without the virtual buffer
+    return gradient[:, : linear.jacobian.end.shape[-1]]  # without the virtual buffer

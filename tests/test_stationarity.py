@@ -9,7 +9,7 @@ import pytest
 from jaxscp.convexify import terminal_cost
 from jaxscp.intervals import Grid, active_points, evaluate, linearise
 from jaxscp.lagrangian import residual
-from jaxscp.lifted import no_program_multipliers, path_multipliers
+from jaxscp.lifted import no_multipliers, path_multipliers
 from jaxscp.relinearise import relinearise
 from jaxscp.stationarity import lagrangian_gradient, stationarity
 from tests.flights import random_nodes, short_problem
@@ -30,7 +30,7 @@ def point():
     problem, random = short_problem(), np.random.default_rng(0)
     z = random_nodes(problem, 1)
     linear = jax.jit(lambda z: linearise(problem, z, Grid()))(z)
-    shapes = no_program_multipliers(problem, z, linear)
+    shapes = no_multipliers(problem, z, linear)
     y = jax.tree.map(lambda v: jnp.asarray(random.standard_normal(v.shape)), shapes)
     links = y.links.at[0].set(0.0).at[-1].set(0.0)
     # The path has neither the dilation's limits, which come last, nor the last node's constraints.
@@ -65,8 +65,8 @@ def test_the_judges_linearisation_is_the_limit_of_the_solvers(point):
         close(a, b, RK4_ERROR)
 
 
-def test_a_gradient_that_vanishes_leaves_no_residual(point):
-    """Multipliers of a random point are not stationary; scaling all of cost and multipliers changes nothing."""
+def test_residual_is_relative_to_the_cost(point):
+    """A random point is not stationary, and is as far from it when cost and multipliers are scaled together."""
     problem, z, linear, y = point
     cost = jnp.asarray(40.0)
     once = stationarity(problem, z, linear, y, cost)

@@ -1,4 +1,4 @@
-"""The optimum of exactly what the mode ``newton`` solves, by CasADi and IPOPT: same nodes, same integration, same
+"""The optimum of exactly what the default method solves, by CasADi and IPOPT: same nodes, same integration, same
 points between the nodes, same margins. Nothing here is ours but the statement of the problem.
 
 Corridor, landing cone and keep-out ball hold at equally spaced points of every interval less a margin for what may

@@ -29,6 +29,11 @@ def gram(a: Float[Array, "chain rows i"], b: Float[Array, "chain rows j"]) -> Fl
     return jnp.einsum("kri,krj->kij", a, b)
 
 
+def times_transposed(a: Float[Array, "chain i columns"], b: Float[Array, "chain j columns"]) -> jax.Array:
+    """A_k B_k'."""
+    return jnp.einsum("kic,kjc->kij", a, b)
+
+
 def inverse_factor(matrix: Float[Array, "chain size size"]) -> Float[Array, "chain size size"]:
     """L_k^-1, where A_k = L_k L_k'."""
     lower = jnp.linalg.cholesky(matrix, symmetrize_input=False)

@@ -9,7 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxscp.conic.batched import gram, inverse_factor, times, transpose_times
+from jaxscp.conic.batched import gram, inverse_factor, times, times_transposed, transpose_times
 
 
 class Round(eqx.Module):
@@ -38,7 +38,7 @@ def factor(
     while (blocks := diagonal.shape[0]) > 1:
         even, odd = blocks - blocks // 2, blocks // 2
         inverse = inverse_factor(diagonal[1::2])
-        left = jnp.einsum("kij,klj->kil", inverse, above[::2][:odd])
+        left = times_transposed(inverse, above[::2][:odd])
         right = inverse @ above[1::2]
         rounds.append(Round(inverse, left, right))
         diagonal = diagonal[::2] - _onto_even(gram(left, left), gram(right, right), even)

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxscp.conic import block_tridiagonal
-from jaxscp.conic.batched import gram, inverse_factor, times, transpose_times
+from jaxscp.conic.batched import gram, inverse_factor, times, times_transposed, transpose_times
 from jaxscp.conic.cones import ConeVector, Scaling, SecondOrderScaling, tree_axpy
 from jaxscp.conic.program import Multipliers, StagedProgram
 
@@ -148,9 +148,8 @@ def factorise(program: StagedProgram, scaling: Scaling, regularisation: float) -
     hessian = _node_hessian(program, scaling)
     n, m = program.variables, program.links.soft.shape[1]
     inverse = inverse_factor(hessian + regularisation * jnp.eye(n, dtype=hessian.dtype))
-    half = lambda matrix: jnp.einsum("kij,klj->kil", inverse, matrix)  # noqa: E731
-    after = half(program.links.after[:-1])  # L_k^-1 F_k', node k in link k
-    before = half(program.links.before[1:])  # L_k^-1 E_{k+1}', node k in link k + 1
+    after = times_transposed(inverse, program.links.after[:-1])  # L_k^-1 F_k', node k in link k
+    before = times_transposed(inverse, program.links.before[1:])  # L_k^-1 E_{k+1}', node k in link k + 1
     compliance = _compliance(program, _unpack_scaling(program, scaling.second)[2])
     diagonal = compliance + regularisation * jnp.eye(m, dtype=hessian.dtype)
     diagonal = diagonal.at[:-1].add(gram(after, after))
