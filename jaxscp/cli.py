@@ -21,7 +21,7 @@ from rich.table import Table
 
 from jaxscp import scenarios
 from jaxscp.convexify import NormTrustRegion, ProximalTrustRegion
-from jaxscp.corridor import box, build_corridor, read_cloud
+from jaxscp.corridor import CorridorResult, PointCloud, box, build_corridor, read_cloud
 from jaxscp.mission import LandingScenario, at_rest
 from jaxscp.planner import Planner, Solution
 from jaxscp.scp import SCP
@@ -110,6 +110,10 @@ Place = tuple[float, float, float]
 PICTURED = 0.1  # m, between the points of a cloud that pictures show
 
 
+def _place(what: str) -> Any:
+    return typer.Option(help=f"With --cloud: {what}, m.", metavar="X Y Z")
+
+
 @app.command()
 def plan(
     case: Annotated[
@@ -124,12 +128,8 @@ def plan(
         Path | None,
         typer.Option(help="Instead of a case: obstacles, .pcd .ply .xyz .npy .stl or .obj.", metavar="FILE"),
     ] = None,
-    start: Annotated[
-        Place | None, typer.Option(help="With --cloud: where to start, m.", metavar="X Y Z")
-    ] = None,
-    goal: Annotated[
-        Place | None, typer.Option(help="With --cloud: where to land, m.", metavar="X Y Z")
-    ] = None,
+    start: Annotated[Place | None, _place("where to start")] = None,
+    goal: Annotated[Place | None, _place("where to land")] = None,
     radius: Annotated[
         float, typer.Option(min=0.0, help="With --cloud: distance to keep from points, m.")
     ] = 0.25,
@@ -139,12 +139,8 @@ def plan(
             min=0.0, help="With --cloud: ignore points so near to start or goal, m; their decks, say."
         ),
     ] = 0.0,
-    lower: Annotated[
-        Place | None, typer.Option(help="With --cloud: lower corner of where to fly, m.", metavar="X Y Z")
-    ] = None,
-    upper: Annotated[
-        Place | None, typer.Option(help="With --cloud: upper corner of where to fly, m.", metavar="X Y Z")
-    ] = None,
+    lower: Annotated[Place | None, _place("lower corner of where to fly")] = None,
+    upper: Annotated[Place | None, _place("upper corner of where to fly")] = None,
     save: Annotated[
         Path | None, typer.Option(callback=_writable, help="Write the trajectory (.npz).", metavar="FILE")
     ] = None,
@@ -168,14 +164,15 @@ def plan(
     else:
         if case is not None or start is None or goal is None:
             raise typer.BadParameter("--cloud needs --start and --goal, and no case")
-        found = _corridor(cloud, start, goal, radius, crop, lower, upper)
-        notes.print(found.message)
+        points, result = _corridor(cloud, start, goal, radius, crop, lower, upper)
+        notes.print(result.message)
         name = cloud.name
-        if isinstance(found, NoCorridor):
+        if result.corridor is None or not result.found:
             if as_json:
-                typer.echo(json.dumps({"case": name, "status": "no_corridor", "message": found.message}))
+                typer.echo(json.dumps({"case": name, "status": "no_corridor", "message": result.message}))
             raise typer.Exit(1)
-        scenario = found.scenario
+        pictured = jnp.asarray(points.thinned(PICTURED).points)
+        scenario = scenarios.through(result.corridor, at_rest(start), at_rest(goal), pictured)
     planner = MODES[mode](nodes)
     try:
         validate(scenario, nodes)
@@ -197,19 +194,6 @@ def plan(
     raise typer.Exit(0 if converged(solution) else 1)
 
 
-class ThroughCloud(NamedTuple):
-    """A scenario made from a cloud, and its corridor in a sentence."""
-
-    scenario: LandingScenario
-    message: str
-
-
-class NoCorridor(NamedTuple):
-    """Why a cloud left no corridor."""
-
-    message: str
-
-
 def _corridor(
     file: Path,
     start: Place,
@@ -218,22 +202,16 @@ def _corridor(
     crop: float,
     lower: Place | None,
     upper: Place | None,
-) -> ThroughCloud | NoCorridor:
+) -> tuple[PointCloud, CorridorResult]:
     """Read a cloud and build the corridor; what is wrong with the request is said as such."""
     first, last = np.array(start), np.array(goal)
     low, high = (None if corner is None else np.array(corner) for corner in (lower, upper))
     decks = [box(place - crop, place + crop) for place in (first, last)] if crop else []
     try:
-        obstacles = read_cloud(file)
-        result = build_corridor(obstacles, first, last, radius, lower=low, upper=high, remove=decks)
+        points = read_cloud(file)
+        return points, build_corridor(points, first, last, radius, lower=low, upper=high, remove=decks)
     except (ValueError, OSError, ImportError) as error:
         raise typer.BadParameter(str(error)) from error
-    if result.corridor is None or not result.found:
-        return NoCorridor(result.message)
-    points = jnp.asarray(obstacles.thinned(PICTURED).points)
-    return ThroughCloud(
-        scenarios.through(result.corridor, at_rest(first), at_rest(last), points), result.message
-    )
 
 
 def timed(planner: Planner, scenario: LandingScenario) -> tuple[Solution, Timing]:

@@ -17,12 +17,11 @@ from jaxscp.types import Scalar
 
 def draw_histories(axes: Any, scenario: LandingScenario, curves: Curves, nodes: Curves) -> Any:
     """Speed, tilt, body rate, thrusts and clearance over time on five axes, limits dashed."""
-    limits = scenario.limits
-    draw_speed(axes[0], curves, nodes, limits.speed)
-    draw_tilt(axes[1], curves, nodes, limits.tilt)
-    draw_body_rate(axes[2], curves, nodes, limits.body_rate)
-    bounds = (limits.speed, limits.tilt, limits.body_rate)
-    _legend_beside(axes[next((i for i, bound in enumerate(bounds) if bound is not None), 0)])
+    limits = [scenario.limits.speed, scenario.limits.tilt, scenario.limits.body_rate]
+    for ax, draw, limit in zip(axes, (draw_speed, draw_tilt, draw_body_rate), limits, strict=False):
+        draw(ax, curves, nodes, limit)
+    limited = [ax for ax, limit in zip(axes, limits, strict=False) if limit is not None]
+    _legend_beside([*limited, axes[0]][0])
     draw_thrusts(axes[3], scenario, curves, nodes)
     draw_clearance(axes[4], scenario, curves, nodes)
     for ax in axes:
