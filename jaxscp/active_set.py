@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from jaxscp.constraints import SecondOrder
 from jaxscp.intervals import Linearisation, Outputs, active_points
-from jaxscp.lagrangian import PathMultipliers, slack
+from jaxscp.lagrangian import FlightMultipliers, slack
 from jaxscp.problem import OptimalControlProblem
 from jaxscp.types import Nodes
 
@@ -42,7 +42,7 @@ class ActiveSet(eqx.Module):
 def active_set(
     problem: OptimalControlProblem,
     linear: Linearisation,
-    multipliers: PathMultipliers,
+    multipliers: FlightMultipliers,
     scale: Float[Array, "inputs"],
 ) -> ActiveSet:
     """What a subproblem about ``linear`` ended on.
@@ -55,7 +55,11 @@ def active_set(
     """
     gradients, weights = [], []
     for constraint, values, jacobian, y in zip(
-        problem.constraints, linear.outputs.values, linear.jacobian.values, multipliers.values, strict=True
+        problem.constraints,
+        linear.outputs.values,
+        linear.jacobian.values,
+        multipliers.by_interval(),
+        strict=True,
     ):
         gradient, price = _scalar_conditions(constraint.cone, values, jacobian, y)
         gradient = gradient * scale
@@ -71,14 +75,14 @@ def active_set(
 
 
 def near_limits(
-    problem: OptimalControlProblem, linear: Linearisation, dilation: Nodes, scale: Float[Array, "inputs"]
+    problem: OptimalControlProblem,
+    linear: Linearisation,
+    multipliers: FlightMultipliers,
+    dilation: Nodes,
+    scale: Float[Array, "inputs"],
 ) -> ActiveSet:
     """Whatever has less slack than ``NEAR`` left, whether or not it has a price."""
-    free = PathMultipliers(
-        jnp.zeros_like(linear.outputs.end),
-        jax.tree.map(jnp.zeros_like, linear.outputs.values),
-        jnp.zeros_like(dilation),
-    )
+    free = jax.tree.map(jnp.zeros_like, multipliers)
     conditions = active_set(problem, linear, free, scale)
     on = [
         ((slack(c.cone, v) < NEAR) & active_points(c, v.shape[1])[:, :, None]).reshape(v.shape[0], -1)

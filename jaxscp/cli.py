@@ -236,6 +236,7 @@ def report(solution: Solution, timing: Timing) -> dict[str, Any]:
     return {
         "status": status_names(solution.status),
         "iterations": int(solution.iterations),
+        "newton_steps": int(solution.newton_steps),
         "cost": plain(solution.cost),
         "final_time": plain(solution.final_time),
         "solve_seconds": timing.solve,

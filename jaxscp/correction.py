@@ -13,8 +13,7 @@ from jaxscp.active_set import ActiveSet, slacks
 from jaxscp.conic import block_tridiagonal
 from jaxscp.conic.program import Links
 from jaxscp.intervals import Grid, evaluate
-from jaxscp.lifted import end_condition
-from jaxscp.problem import OptimalControlProblem
+from jaxscp.problem import OptimalControlProblem, end_condition
 from jaxscp.types import Scalar
 
 HOLD = (

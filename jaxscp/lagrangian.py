@@ -12,20 +12,43 @@ from jaxtyping import Array, Float
 
 from jaxscp.constraints import Cone, NonNegative, SecondOrder
 from jaxscp.discretise import interval_inputs
+from jaxscp.inequalities import inequalities
 from jaxscp.intervals import Grid, Outputs, active_points, interval_data, interval_outputs
-from jaxscp.problem import OptimalControlProblem
+from jaxscp.problem import OptimalControlProblem, end_condition, start_condition
 from jaxscp.types import Nodes, Scalar
 
 
-class PathMultipliers(eqx.Module):
-    """Multipliers of the nonlinear problem, of every interval."""
+class FlightMultipliers(eqx.Module):
+    """Multipliers of the nonlinear problem."""
 
     flow: Float[Array, "intervals states"]
     """lambda: of F(w_i) = x_{i+1}."""
-    values: tuple[Float[Array, "intervals _ _"], ...]
-    """y: of the constraints' values, in the dual of their cones."""
-    dilation: Nodes
-    """Of the nearer limit of each node's dilation; zero or more."""
+    initial: Float[Array, "initial"]
+    """Of the conditions at the start."""
+    final: Float[Array, "final"]
+    """Of the conditions at the end."""
+    values: tuple[Float[Array, "_ _ _"], ...]
+    """y: of the ``inequalities``, in the dual of their cones."""
+
+    def by_interval(self) -> tuple[Float[Array, "intervals _ _"], ...]:
+        """y of the constraints, in the shape of ``Outputs.values``: an interval's part in what holds at nodes is its
+        first node's."""
+        return tuple(y[: self.flow.shape[0]] for y in self.values[:-1])
+
+    @property
+    def dilation(self) -> Nodes:
+        """Of the limit of each node's dilation that has the higher price."""
+        return jnp.max(self.values[-1][:, 0], axis=1)
+
+
+def no_multipliers(
+    problem: OptimalControlProblem, z: Float[Array, "nodes variables"], outputs: Outputs
+) -> FlightMultipliers:
+    """Zeros."""
+    values = jax.tree.map(jnp.zeros_like, inequalities(problem, z, outputs))
+    n, zero = problem.state_size, jnp.zeros_like
+    initial, final = (condition(problem, z[0, :n])[1] for condition in (start_condition, end_condition))
+    return FlightMultipliers(zero(outputs.end), zero(initial), zero(final), values)
 
 
 class Residual(eqx.Module):
@@ -45,7 +68,7 @@ def residual(outputs: Outputs, terminal: Scalar, z: Float[Array, "nodes variable
 
 
 def hessians(
-    problem: OptimalControlProblem, z: Float[Array, "nodes variables"], y: PathMultipliers, grid: Grid
+    problem: OptimalControlProblem, z: Float[Array, "nodes variables"], y: FlightMultipliers, grid: Grid
 ) -> Float[Array, "intervals inputs inputs"]:
     """Second derivatives of the Lagrangian, one block an interval: nothing couples intervals but linearly.
 
@@ -57,13 +80,15 @@ def hessians(
         return out.cost + jnp.dot(flow, out.end) - sum(map(jnp.vdot, values, out.values))
 
     second = jax.jacfwd(jax.grad(lagrangian))
-    return jax.vmap(second)(interval_inputs(problem, z), interval_data(problem, grid), y.flow, y.values)
+    return jax.vmap(second)(
+        interval_inputs(problem, z), interval_data(problem, grid), y.flow, y.by_interval()
+    )
 
 
 def merit(
     problem: OptimalControlProblem,
     r: Residual,
-    y: PathMultipliers,
+    y: FlightMultipliers,
     weight: float,
     scale: Float[Array, "states"],
 ) -> Scalar:
@@ -80,7 +105,7 @@ def merit(
         scale: (states,) by which a defect is divided.
     """
     total = r.cost + jnp.vdot(y.flow, r.defect) + 0.5 * weight * jnp.sum((r.defect / scale) ** 2)
-    for constraint, values, multiplier in zip(problem.constraints, r.values, y.values, strict=True):
+    for constraint, values, multiplier in zip(problem.constraints, r.values, y.by_interval(), strict=True):
         pull = projection(constraint.cone, multiplier - weight * values)
         terms = (pull * pull - multiplier * multiplier) / (2.0 * weight)
         active = active_points(constraint, values.shape[1])

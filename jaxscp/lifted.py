@@ -14,8 +14,8 @@ from jaxscp.conic.program import Cones, Links, Multipliers, Rows, StagedProgram
 from jaxscp.constraints import AtNodes, Constraint, NonNegative, SecondOrder, Zero
 from jaxscp.convexify import terminal_cost
 from jaxscp.intervals import Linearisation, active_points, value_at
-from jaxscp.lagrangian import PathMultipliers
-from jaxscp.problem import OptimalControlProblem
+from jaxscp.lagrangian import FlightMultipliers
+from jaxscp.problem import OptimalControlProblem, end_condition, start_condition
 
 
 def lifted_program(
@@ -78,9 +78,9 @@ def node_step(problem: OptimalControlProblem, stages: Float[Array, "nodes _"]):
     return stages[:, : problem.variables]
 
 
-def path_multipliers(
+def flight_multipliers(
     problem: OptimalControlProblem, linear: Linearisation, found: Multipliers
-) -> PathMultipliers:
+) -> FlightMultipliers:
     """A subproblem's multipliers in the nonlinear problem's own shape."""
     states = problem.state_size
     values: list = [None] * len(problem.constraints)
@@ -88,21 +88,23 @@ def path_multipliers(
     for i, _ in _of_kind(problem, NonNegative):
         shape = linear.outputs.values[i].shape
         count = shape[1] * shape[2]
-        values[i] = found.rows[:-1, first : first + count].reshape(shape)
+        values[i] = found.rows[:, first : first + count].reshape(-1, *shape[1:])
         first += count
     for (i, _), y in zip(_of_kind(problem, SecondOrder), found.cones, strict=True):
-        values[i] = y[:-1]
-    dilation = jnp.max(found.rows[:, first : first + 2], axis=1)
-    return PathMultipliers(found.links[1:-1, :states], tuple(values), dilation)
-
-
-def no_multipliers(
-    problem: OptimalControlProblem, z: Float[Array, "nodes variables"], linear: Linearisation
-) -> Multipliers:
-    """Zeros in the shape of a subproblem's multipliers."""
-    program = linear_program(problem, z, linear)
-    offsets = Multipliers(program.links.offset, program.rows.offset, tuple(c.offset for c in program.cones))
-    return jax.tree.map(jnp.zeros_like, offsets)
+        values[i] = y
+    values = [
+        y if isinstance(c.where, AtNodes) else y[:-1]
+        for c, y in zip(problem.constraints, values, strict=True)
+    ]
+    dilation = found.rows[:, None, first : first + 2]
+    state = jnp.zeros(states, found.rows.dtype)
+    initial, final = (condition(problem, state)[1].shape[0] for condition in (start_condition, end_condition))
+    return FlightMultipliers(
+        flow=found.links[1:-1, :states],
+        initial=found.links[0, :initial],
+        final=found.links[-1, :final],
+        values=(*values, dilation),
+    )
 
 
 def check(problem: OptimalControlProblem) -> None:
@@ -157,27 +159,6 @@ def lifted_links(
         soft=soft,
         weight=jnp.full((intervals + 2,), virtual_weight, z.dtype),
     )
-
-
-def start_condition(problem: OptimalControlProblem, state: Float[Array, "states"]):
-    """Jacobian and value of the conditions at the start, where time is zero."""
-
-    def condition(x):
-        physical, time = problem.split_state(x)
-        value = problem.initial.function(physical, time, problem.initial.parameters)
-        return jnp.concatenate([value, x[problem.dynamics.state_size :]])
-
-    return jax.jacfwd(condition)(state), condition(state)
-
-
-def end_condition(problem: OptimalControlProblem, state: Float[Array, "states"]):
-    """Jacobian and value of the conditions at the end."""
-
-    def condition(x):
-        physical, time = problem.split_state(x)
-        return problem.final.function(physical, time, problem.final.parameters)
-
-    return jax.jacfwd(condition)(state), condition(state)
 
 
 def _padded(condition, rows: int, inputs: int):

@@ -17,35 +17,38 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxscp.active_set import ActiveSet, active_set, near_limits, nearest_dilation_limit, slacks
+from jaxscp.central_path import Point, multipliers
 from jaxscp.conic.interior_point import InteriorPoint
-from jaxscp.conic.program import ConicSolution, Multipliers, StagedProgram
+from jaxscp.conic.program import ConicSolution, StagedProgram
 from jaxscp.convexify import terminal_cost
 from jaxscp.correction import HOLD, corrected
 from jaxscp.curvature import Chain, Convex, condensed, projected
 from jaxscp.discretise import interval_inputs
+from jaxscp.interior import Interior
 from jaxscp.intervals import Grid, Linearisation, evaluate, linearise
 from jaxscp.lagrangian import (
+    FlightMultipliers,
     Residual,
     hessians,
     merit,
+    no_multipliers,
     residual,
     worst_violation,
 )
 from jaxscp.lifted import (
     buffered,
     cost_gradient,
-    end_condition,
+    flight_multipliers,
     lifted_links,
     lifted_program,
-    no_multipliers,
     node_step,
-    path_multipliers,
     stage_sizes,
 )
 from jaxscp.lifted import check as check_liftable
-from jaxscp.problem import OptimalControlProblem, node_times, typical_sizes
+from jaxscp.problem import OptimalControlProblem, end_condition, node_times, typical_sizes
 from jaxscp.relinearise import relinearise
-from jaxscp.scp import History
+from jaxscp.scp import Answer, History
+from jaxscp.sensitivity import follow
 from jaxscp.stationarity import stationarity
 from jaxscp.status import Status, StatusCode, usable
 from jaxscp.types import Count, Flag, Scalar
@@ -56,8 +59,8 @@ STEP_LENGTHS = (
     0.2,
 )  # parts of a step that are tried, each corrected: far cheaper than another subproblem
 SHORTENED = (1.0, 2.0, 4.0)  # factors, at least, by which the proximal weight then grows
-FINER = 3  # times the substeps, at the end
 FIRMNESS = (1e7, 1e7, 1e7, 1e4)  # prices of leaving a limit, at the end: so much leaves nothing to see
+SLACK = (100.0, 1.0)  # times the tolerances, at which the interior point is tried
 MEMORY = 5  # accepted points whose worst merit a new one must beat
 EXACT_BELOW = 1e-3  # proximal weight from which on curvature is condensed
 EXACT_PROXIMAL = 0.02  # proximal weight to begin that with
@@ -72,7 +75,7 @@ class NewtonState(eqx.Module):
     """The reference: the last accepted iterate."""
     linear: Linearisation
     """Its intervals."""
-    multipliers: Multipliers
+    multipliers: FlightMultipliers
     """Of the subproblem that led to it."""
     past: Residual
     """The last accepted points, newest first."""
@@ -83,6 +86,12 @@ class NewtonState(eqx.Module):
     """Typical sizes of a node's variables: the largest of the iterates so far, at least one."""
     cost: Scalar
     iterations: Count
+    near: Flag
+    """Whether the optimum is near enough for the interior point."""
+    reached: Flag
+    """Whether the point is the optimum itself, and the multipliers its own."""
+    newton_steps: Count
+    """Of the interior point."""
     status: StatusCode
     done: Flag
     history: History
@@ -102,6 +111,7 @@ class NewtonSCP(eqx.Module):
         merit_weight: of squared residuals in the augmented Lagrangian; the multipliers do most of its work.
         correction_rounds: of the second-order correction, each a linear solve.
         grid: of integration and path constraints.
+        interior: the method of the end.
         conic: solver of the subproblems.
 
     Example:
@@ -121,6 +131,7 @@ class NewtonSCP(eqx.Module):
     merit_weight: float = 10.0
     correction_rounds: int = eqx.field(default=2, static=True)
     grid: Grid = Grid()
+    interior: Interior = Interior()
     conic: Callable[[StagedProgram], ConicSolution] = InteriorPoint(tolerance=1e-7)
 
     @property
@@ -132,6 +143,17 @@ class NewtonSCP(eqx.Module):
     def holds_between_nodes(self) -> bool:
         """Whether a converged answer claims to keep its constraints between the nodes too."""
         return True
+
+    def answer(self, problem: OptimalControlProblem, state: NewtonState) -> Answer:
+        """The end, as a function of the problem."""
+        y = state.multipliers
+        found = Point(state.z, y.flow, y.initial, y.final)
+        point = follow(problem, found, self.grid, state.reached)
+        cost = jnp.sum(evaluate(problem, point.z, self.grid).cost) + terminal_cost(problem, point.z)
+        own = multipliers(problem, point, self.grid)
+        own = jax.tree.map(lambda a, b: jnp.where(state.reached, a, b), own, y)
+        cost = jnp.where(state.reached, cost, state.cost)
+        return Answer(point.z, cost, own, state.reached, state.newton_steps)
 
     def optimality(self, problem: OptimalControlProblem, state: NewtonState) -> Scalar:
         """How far the end is from a point of Karush, Kuhn and Tucker, by the judge's own linearisation."""
@@ -147,23 +169,29 @@ class NewtonSCP(eqx.Module):
         return NewtonState(
             z=z,
             linear=linear,
-            multipliers=no_multipliers(problem, z, linear),
+            multipliers=no_multipliers(problem, z, linear.outputs),
             past=jax.tree.map(lambda v: jnp.broadcast_to(v, (MEMORY, *v.shape)), now),
             proximal=jnp.asarray(self.proximal, z.dtype),
             exact=jnp.zeros((), bool),
             scale=typical_sizes(z),
             cost=now.cost,
             iterations=jnp.zeros((), int),
+            near=jnp.zeros((), bool),
+            reached=jnp.zeros((), bool),
+            newton_steps=jnp.zeros((), int),
             status=Status.iteration_limit,
             done=jnp.zeros((), bool),
             history=History(zeros, zeros, zeros, zeros, zeros, zeros, counts),
         )
 
-    def step(self, problem: OptimalControlProblem, state: NewtonState) -> NewtonState:
-        """Solve one subproblem; take its answer, corrected, if the merit agrees."""
+    def step(
+        self, problem: OptimalControlProblem, state: NewtonState, slack: Scalar | float = 1.0
+    ) -> NewtonState:
+        """Solve one subproblem; take its answer, corrected, if the merit agrees. Where ``slack`` times the tolerances
+        are met, the loop may end."""
         scale = stage_sizes(problem, state.scale)
         now = jax.tree.map(lambda v: v[0], state.past)
-        before = path_multipliers(problem, state.linear, state.multipliers)
+        before = state.multipliers
         true_hessian = hessians(problem, state.z, before, self.grid)
         clipped = projected(_scaled(true_hessian, scale))
         active = active_set(problem, state.linear, before, scale)
@@ -171,15 +199,15 @@ class NewtonSCP(eqx.Module):
         program = lifted_program(problem, state.z, state.linear, hessian, gradient, self.virtual_weight)
         solution = self.conic(program)
 
-        multipliers = path_multipliers(problem, state.linear, solution.multipliers)
+        multipliers = flight_multipliers(problem, state.linear, solution.multipliers)
         move = node_step(problem, solution.z)
         links = lifted_links(problem, state.z, state.linear, self.virtual_weight)
         held = active_set(problem, state.linear, multipliers, scale)
-        slack = slacks(problem, state.linear.outputs)
+        room = slacks(problem, state.linear.outputs)
 
         def attempt(length):
             """The candidate after a part of the step, corrected, and its residual."""
-            z, rest = state.z + length * move, (1.0 - length) * slack
+            z, rest = state.z + length * move, (1.0 - length) * room
             args = (clipped.hessian, scale, self.grid, self.correction_rounds)
             z = corrected(problem, z, links, held, *args, rest=rest)
             return z, residual(evaluate(problem, z, self.grid), terminal_cost(problem, z), z)
@@ -215,13 +243,14 @@ class NewtonSCP(eqx.Module):
         z, past = choose(candidate, state.z), choose(past, state.past)
         now = jax.tree.map(lambda v: v[0], past)
         defects = jnp.linalg.norm(now.defect, axis=1)
-        flown = jnp.sum(defects) <= self.tolerance_defect
-        safe = worst_violation(problem, now) <= self.tolerance_defect
+        lacks = jnp.stack([jnp.sum(defects), worst_violation(problem, now)]) / self.tolerance_defect
+        flown, safe = lacks <= 1.0
         closed = flown & safe
-        small = jnp.abs(gain) <= self.tolerance * jnp.maximum(1.0, jnp.abs(now.cost))
-        left = stationarity(problem, candidate, linear, solution.multipliers, now.cost)
-        flat = left <= self.tolerance_gradient
-        optimal = accept & small & flat & closed & (state.proximal <= EXACT_PROXIMAL)
+        small = jnp.abs(gain) / (self.tolerance * jnp.maximum(1.0, jnp.abs(now.cost)))
+        flat = stationarity(problem, candidate, linear, multipliers, now.cost) / self.tolerance_gradient
+        worst = jnp.maximum(jnp.max(lacks), jnp.maximum(small, flat))  # in tolerances
+        settling = accept & (state.proximal <= EXACT_PROXIMAL)
+        optimal, near = settling & (worst <= 1.0), settling & (worst <= slack)
         stuck = proximal > MOST_PROXIMAL
         status = Status.where(safe, Status.iteration_limit, Status.constraints_unmet)
         status = Status.where(flown, status, Status.dynamics_unmet)
@@ -239,15 +268,18 @@ class NewtonSCP(eqx.Module):
         return NewtonState(
             z=z,
             linear=choose(linear, state.linear),
-            multipliers=choose(solution.multipliers, state.multipliers),
+            multipliers=choose(multipliers, state.multipliers),
             past=past,
             proximal=proximal,
             exact=exact,
             scale=jnp.maximum(state.scale, typical_sizes(z)),
             cost=now.cost,
             iterations=state.iterations + 1,
+            near=near,
+            reached=state.reached,
+            newton_steps=state.newton_steps,
             status=Status.where(optimal, Status.converged, status),
-            done=optimal | stuck,
+            done=near | stuck,
             history=jax.tree.map(lambda h, v: h.at[state.iterations].set(v), state.history, row),
         )
 
@@ -258,19 +290,50 @@ class NewtonSCP(eqx.Module):
     def run(
         self, problem: OptimalControlProblem, z: Float[Array, "nodes variables"], wanted: Flag | bool = True
     ) -> NewtonState:
-        """Iterate from an initial guess to the end; not at all for a lane that is not wanted."""
+        """Iterate from an initial guess to the optimum; not at all for a lane that is not wanted.
+
+        The subproblems lead near the optimum, and the interior point from there to it. Where it fails, the
+        subproblems go on to an end of their own, closer by.
+        """
         start = self.init(problem, z)
         start = eqx.tree_at(lambda s: s.done, start, ~jnp.asarray(wanted))
-        end = jax.lax.while_loop(
-            lambda state: ~self.terminate(state), lambda state: self.step(problem, state), start
+
+        def attempt(state, slack):
+            state = jax.lax.while_loop(
+                lambda s: ~self.terminate(s), lambda s: self.step(problem, s, slack), state
+            )
+            return self.finish(problem, state), None
+
+        end, _ = jax.lax.scan(attempt, start, jnp.array(SLACK))
+        polished = self.polish(problem, end)
+        return jax.tree.map(lambda a, b: jnp.where(end.reached, a, b), end, polished)
+
+    def finish(self, problem: OptimalControlProblem, state: NewtonState) -> NewtonState:
+        """The optimum that the iterates are near, if Newton's method gets there from here."""
+        found = self.interior.run(problem, state.z, state.multipliers, self.grid, state.near)
+        there = state.near & self.interior.reached(found)
+        z, multipliers = jax.tree.map(
+            lambda a, b: jnp.where(there, a, b), (found.z, found.y), (state.z, state.multipliers)
         )
-        return self.polish(problem, end)
+        cost = jnp.sum(evaluate(problem, z, self.grid).cost) + terminal_cost(problem, z)
+        return eqx.tree_at(
+            lambda s: (s.z, s.multipliers, s.cost, s.status, s.reached, s.near, s.done, s.newton_steps),
+            state,
+            (
+                z,
+                multipliers,
+                jnp.where(there, cost, state.cost),
+                Status.where(there, Status.converged, state.status),
+                there | state.reached,
+                jnp.zeros((), bool),
+                state.done & (there | ~state.near),
+                state.newton_steps + found.steps,
+            ),
+        )
 
     def polish(self, problem: OptimalControlProblem, state: NewtonState) -> NewtonState:
-        """Close what is left of the defects by Newton's method on them, without using up what is near a limit; by
-        a finer integration, since optimal flights have long intervals in which the error of the usual one shows.
-        Where too much is near a limit for that, the last rounds may use up some."""
-        grid = Grid(FINER * self.grid.substeps, self.grid.points)
+        """Close what is left of the defects by Newton's method on them, without using up what is near a limit. Where
+        too much is near a limit for that, the last rounds may use up some."""
         scale = stage_sizes(problem, state.scale)
         inputs = scale.shape[0]
         # Plain least change: the multipliers may be far from those of the point, if the loop was cut short.
@@ -279,9 +342,9 @@ class NewtonSCP(eqx.Module):
         def once(carry, firmness):
             z, linear = carry
             links = lifted_links(problem, z, linear, self.virtual_weight)
-            near = near_limits(problem, linear, z[:, -1], scale)
-            z = corrected(problem, z, links, near, metric, scale, grid, self.correction_rounds, firmness)
-            return (z, linearise(problem, z, grid)), None
+            near = near_limits(problem, linear, state.multipliers, z[:, -1], scale)
+            z = corrected(problem, z, links, near, metric, scale, self.grid, self.correction_rounds, firmness)
+            return (z, linearise(problem, z, self.grid)), None
 
         (z, linear), _ = jax.lax.scan(once, (state.z, state.linear), jnp.array(FIRMNESS))
         now = residual(linear.outputs, terminal_cost(problem, z), z)

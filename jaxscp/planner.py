@@ -12,6 +12,7 @@ from jaxtyping import Array, Float, Int
 from jaxscp.allocation import allocate
 from jaxscp.certificate import Certificate, acceptable, certify
 from jaxscp.initial_guess import initial_guess
+from jaxscp.lagrangian import FlightMultipliers
 from jaxscp.landing import landing_problem
 from jaxscp.mission import LandingScenario
 from jaxscp.newton import NewtonSCP
@@ -35,6 +36,12 @@ class Solution(eqx.Module):
     """s"""
     iterations: Count
     """Subproblems solved."""
+    newton_steps: Count
+    """Steps of the interior point that went from the last subproblem's point to the optimum."""
+    differentiable: Flag
+    """Whether the plan is an optimum to rounding, so that it has derivatives; else those asked for are NaN."""
+    multipliers: FlightMultipliers | None
+    """Prices of the flow, of the conditions at both ends and of the constraints; None where the method has none."""
     certificate: Certificate
     history: History
     z: Float[Array, "nodes variables"]
@@ -89,9 +96,10 @@ class Planner(eqx.Module):
 
     def setup(self, scenario: LandingScenario):
         """Problem, first node variables and allocation of a scenario: what the iterations start from."""
-        allocation = allocate(scenario.corridor, scenario.start.position, scenario.goal.position, self.nodes)
+        frozen = jax.lax.stop_gradient(scenario)  # where the iterations start is no function of the scenario
+        allocation = allocate(frozen.corridor, frozen.start.position, frozen.goal.position, self.nodes)
         problem = landing_problem(scenario, allocation, self.method.published)
-        guess = initial_guess(scenario, allocation)
+        guess = initial_guess(frozen, allocation)
         return problem, problem.join(guess.states, guess.controls, guess.dilation), allocation
 
     def conclude(
@@ -101,21 +109,26 @@ class Planner(eqx.Module):
         allocation: Int[Array, "intervals"],
     ) -> Solution:
         """Certify what the iterations ended with, the method's own state."""
-        trajectory = trajectory_of(problem, state.z)
-        optimality = self.method.optimality(problem, state)
-        certificate = certify(problem, trajectory, self.samples, optimality)
+        answer = self.method.answer(problem, state)
+        trajectory = trajectory_of(problem, answer.z)
+        frozen, flown = jax.lax.stop_gradient((problem, trajectory))
+        optimality = self.method.optimality(frozen, state)
+        certificate = certify(frozen, flown, self.samples, optimality)
         refuted = (state.status == Status.converged) & ~acceptable(
             certificate, self.method.holds_between_nodes
         )
         return Solution(
             status=Status.where(refuted, Status.refuted, state.status),
             trajectory=trajectory,
-            cost=state.cost,
+            cost=answer.cost,
             final_time=trajectory.time[-1],
             iterations=state.iterations,
+            newton_steps=answer.newton_steps,
+            differentiable=answer.reached,
+            multipliers=answer.multipliers,
             certificate=certificate,
             history=state.history,
-            z=state.z,
+            z=answer.z,
             allocation=allocation,
         )
 
@@ -142,7 +155,8 @@ def _setup_again(planner: Planner, scenario: LandingScenario, allocation):
 
 @functools.partial(jax.jit, static_argnums=0)
 def _solve(planner: Planner, ok: Flag, problem: OptimalControlProblem, z, allocation) -> Solution:
-    state = planner.method.run(problem, z, ok)
+    frozen, z = jax.lax.stop_gradient((problem, z))
+    state = planner.method.run(frozen, z, ok)
     solution = planner.conclude(problem, state, allocation)
     return _blank_unless(ok, solution)
 

@@ -116,6 +116,27 @@ class OptimalControlProblem(eqx.Module):
         return jnp.concatenate([derivative, *carried]), cost
 
 
+def start_condition(problem: OptimalControlProblem, state: Float[Array, "states"]):
+    """Jacobian and value of the conditions at the start, where time (and running cost) are zero."""
+
+    def condition(x):
+        physical, time = problem.split_state(x)
+        value = problem.initial.function(physical, time, problem.initial.parameters)
+        return jnp.concatenate([value, x[problem.dynamics.state_size :]])
+
+    return jax.jacfwd(condition)(state), condition(state)
+
+
+def end_condition(problem: OptimalControlProblem, state: Float[Array, "states"]):
+    """Jacobian and value of the conditions at the end."""
+
+    def condition(x):
+        physical, time = problem.split_state(x)
+        return problem.final.function(physical, time, problem.final.parameters)
+
+    return jax.jacfwd(condition)(state), condition(state)
+
+
 def typical_sizes(z: Float[Array, "nodes variables"]) -> Float[Array, "variables"]:
     """The largest that each of a node's variables becomes, at least one.
 

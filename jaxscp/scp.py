@@ -15,7 +15,9 @@ from jaxscp.conic.interior_point import InteriorPoint
 from jaxscp.conic.program import ConicSolution, StagedProgram
 from jaxscp.convexify import NormTrustRegion, TrustRegion, convexify
 from jaxscp.discretise import Discretisation, discretise
+from jaxscp.lagrangian import FlightMultipliers
 from jaxscp.problem import OptimalControlProblem, node_times
+from jaxscp.sensitivity import without_derivative
 from jaxscp.status import Status, StatusCode, usable
 from jaxscp.types import Count, Flag, Scalar
 
@@ -37,6 +39,18 @@ class History(eqx.Module):
     """Largest |F(z_i) - x_{i+1}| of an interval: what the iterate lacks of obeying the true dynamics."""
     conic_iterations: Int[Array, "*iterations"]
     """Steps of the conic solver."""
+
+
+class Answer(eqx.Module):
+    """What a method found, as a function of the problem."""
+
+    z: Float[Array, "nodes variables"]
+    cost: Scalar
+    multipliers: FlightMultipliers | None
+    reached: Flag
+    """Whether it is an optimum to rounding."""
+    newton_steps: Count
+    """Of the interior point that ended there."""
 
 
 class SCPState(eqx.Module):
@@ -83,6 +97,12 @@ class SCP(eqx.Module):
     def holds_between_nodes(self) -> bool:
         """Whether a converged answer claims to keep its constraints between the nodes too."""
         return False
+
+    def answer(self, problem: OptimalControlProblem, state: SCPState) -> Answer:
+        """The end. It is no function of the problem: the iterations stop where moving no longer pays, which says more
+        of the guess."""
+        z, cost = without_derivative(state.z, problem), without_derivative(state.cost, problem)
+        return Answer(z, cost, None, jnp.zeros((), bool), jnp.zeros((), int))
 
     def optimality(self, problem: OptimalControlProblem, state: SCPState) -> None:
         """Nothing: where the trust region is priced by an unsquared norm, a stop says nothing of optimality."""

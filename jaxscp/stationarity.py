@@ -2,17 +2,17 @@
 
     grad(cost) + sum_i lambda_i' dF_i - sum y' dg = 0,        lambda free, y in the dual of the constraint's cone,
 
-with F the flow over an interval and g the values of the constraints at its points.
+with F the flow over an interval, lambda also of the conditions at both ends, and g the values of the constraints.
 """
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxscp.conic import kkt
-from jaxscp.conic.program import Multipliers
+from jaxscp.inequalities import jacobians, onto_nodes, pulled
 from jaxscp.intervals import Linearisation
-from jaxscp.lifted import linear_program, stage_sizes
-from jaxscp.problem import OptimalControlProblem, typical_sizes
+from jaxscp.lagrangian import FlightMultipliers
+from jaxscp.lifted import cost_gradient
+from jaxscp.problem import OptimalControlProblem, end_condition, start_condition, typical_sizes
 from jaxscp.types import Scalar
 
 
@@ -20,7 +20,7 @@ def stationarity(
     problem: OptimalControlProblem,
     z: Float[Array, "nodes variables"],
     linear: Linearisation,
-    multipliers: Multipliers,
+    multipliers: FlightMultipliers,
     cost: Scalar,
 ) -> Scalar:
     """Largest component of the Lagrangian's gradient, each times the variable's typical size, relative to the cost:
@@ -30,21 +30,35 @@ def stationarity(
         problem: what is asked.
         z: node variables of the point.
         linear: its intervals.
-        multipliers: of the lifted subproblem that led to it.
+        multipliers: of the point.
         cost: of the point.
     """
-    size = stage_sizes(problem, typical_sizes(z))
     gradient = lagrangian_gradient(problem, z, linear, multipliers)
-    return jnp.max(jnp.abs(gradient * size)) / jnp.maximum(1.0, jnp.abs(cost))
+    return jnp.max(jnp.abs(gradient * typical_sizes(z))) / jnp.maximum(1.0, jnp.abs(cost))
 
 
 def lagrangian_gradient(
     problem: OptimalControlProblem,
     z: Float[Array, "nodes variables"],
     linear: Linearisation,
-    multipliers: Multipliers,
-) -> Float[Array, "nodes inputs"]:
-    """By stages w_i = (x_i, U_i, U_{i+1}): two stages that share a node's controls each have a share of its part."""
-    program = linear_program(problem, z, linear)
-    gradient = program.gradient + kkt.transpose(program, multipliers)
-    return gradient[:, : linear.jacobian.end.shape[-1]]  # without the virtual buffer
+    y: FlightMultipliers,
+) -> Float[Array, "nodes variables"]:
+    """With respect to the node variables."""
+    equalities = equalities_gradient(problem, z, linear, y)
+    return equalities - pulled(problem, jacobians(problem, z, linear), y.values)
+
+
+def equalities_gradient(
+    problem: OptimalControlProblem,
+    z: Float[Array, "nodes variables"],
+    linear: Linearisation,
+    y: FlightMultipliers,
+) -> Float[Array, "nodes variables"]:
+    """The same without the inequalities."""
+    n = problem.state_size
+    gradient = cost_gradient(problem, z, linear)
+    intervals = gradient[:-1] + jnp.einsum("isw,is->iw", linear.jacobian.end, y.flow)
+    nodes = onto_nodes(problem, intervals).at[1:, :n].add(-y.flow)
+    nodes = nodes.at[-1].add(gradient[-1, : problem.variables])
+    nodes = nodes.at[0, :n].add(start_condition(problem, z[0, :n])[0].T @ y.initial)
+    return nodes.at[-1, :n].add(end_condition(problem, z[-1, :n])[0].T @ y.final)

@@ -5,7 +5,6 @@ import numpy as np
 
 from jaxscp import scenarios
 from jaxscp.allocation import allocate
-from jaxscp.lagrangian import PathMultipliers
 from jaxscp.landing import landing_problem
 
 NODES = 8
@@ -15,12 +14,6 @@ def short_problem():
     scenario = scenarios.platform_to_platform()
     allocation = allocate(scenario.corridor, scenario.start.position, scenario.goal.position, NODES)
     return landing_problem(scenario, allocation)
-
-
-def no_path_multipliers(problem, outputs):
-    """Zeros in the shape of every interval's outputs."""
-    values = tuple(jnp.zeros_like(v) for v in outputs.values)
-    return PathMultipliers(jnp.zeros_like(outputs.end), values, jnp.zeros(problem.nodes))
 
 
 def random_nodes(problem, seed):

@@ -13,6 +13,8 @@ from jaxscp.rotations import from_yaw
 from tests.flights import random_nodes, short_problem
 
 ROUNDING = 1e-12
+RK6_ERROR = 1e-5  # m and rad/s, of five steps where a vehicle turns by about a radian an interval
+SIXTH_ORDER = (35.0, 130.0)  # half the step errs 64 times less, or a little more before the limit
 SLOPE = 1e-6  # relative; central differences of 1e-6 in values near one
 DIP = 5e-4  # m; what the margin, itself of second order, may miss where curvature changes within an interval
 
@@ -23,11 +25,19 @@ def problem():
 
 
 def test_the_flow_is_the_discretisations(problem):
+    """By another method, with so many steps that only this one's error is left."""
     z = random_nodes(problem, 0)
-    end, cost = propagate(problem, z, 10)
+    end, cost = propagate(problem, z, 200)
     out = evaluate(problem, z, Grid())
-    np.testing.assert_allclose(out.end, end, rtol=ROUNDING, atol=ROUNDING)
-    np.testing.assert_allclose(out.cost, cost, rtol=ROUNDING)
+    np.testing.assert_allclose(out.end, end, rtol=RK6_ERROR, atol=RK6_ERROR)
+    np.testing.assert_allclose(out.cost, cost, rtol=RK6_ERROR)
+
+
+def test_error_falls_with_the_sixth_power_of_the_steps(problem):
+    z = random_nodes(problem, 0)
+    coarse, middle, fine = (eqx.filter_jit(evaluate)(problem, z, Grid(steps=k)).end for k in (1, 2, 8))
+    gain = jnp.max(jnp.abs(coarse - fine)) / jnp.max(jnp.abs(middle - fine))
+    assert SIXTH_ORDER[0] < float(gain) < SIXTH_ORDER[1]
 
 
 def test_jacobians_are_differences(problem):
@@ -47,8 +57,10 @@ def test_jacobians_are_differences(problem):
 def test_nothing_dips_below_the_margin_between_points(problem, seed):
     """Values on a grid twenty times as fine are never below the line through the constrained ones."""
     z = random_nodes(problem, seed)
-    coarse = evaluate(problem, z, Grid(10, 5)).values[0]
-    bare = eqx.filter_jit(evaluate)(problem, z, Grid(200, 100)).values[0]  # its margin is 400 times as small
+    coarse = evaluate(problem, z, Grid()).values[0]
+    bare = eqx.filter_jit(evaluate)(problem, z, Grid(points=100)).values[
+        0
+    ]  # its margin is 400 times as small
     lowest = bare.reshape(*bare.shape[:2], -1).min(axis=1)
     assert float(jnp.max(coarse.min(axis=1) - lowest)) < DIP
     assert float(jnp.max(lowest - coarse.min(axis=1))) > 1e-3  # the margin is there at all
@@ -67,9 +79,9 @@ def test_the_cone_is_left_out_at_its_apex(problem):
     assert not bool(active[0].any())
 
 
-def test_a_grid_that_does_not_divide_is_refused():
+def test_a_grid_too_coarse_for_a_margin_is_refused():
     with pytest.raises(ValueError, match="points"):
-        Grid(substeps=10, points=4)
+        Grid(points=2)
 
 
 def test_either_sign_of_a_quaternion_is_the_goal():

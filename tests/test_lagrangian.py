@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from jaxscp.constraints import NonNegative, SecondOrder
 from jaxscp.discretise import interval_inputs
 from jaxscp.intervals import Grid, evaluate
-from jaxscp.lagrangian import Residual, hessians, merit, projection, residual
-from tests.flights import no_path_multipliers, random_nodes, short_problem
+from jaxscp.lagrangian import Residual, hessians, merit, no_multipliers, projection, residual
+from tests.flights import random_nodes, short_problem
 
 ROUNDING = 1e-10
 vectors = st.lists(st.floats(-10.0, 10.0), min_size=3, max_size=3).map(jnp.array)
@@ -37,7 +37,7 @@ def test_merit_of_a_feasible_point_is_its_cost():
     )
     point = Residual(jnp.asarray(7.0), jnp.zeros_like(out.end), inside)
     np.testing.assert_allclose(
-        merit(problem, point, no_path_multipliers(problem, out), 10.0, jnp.ones(13)), 7.0
+        merit(problem, point, no_multipliers(problem, z, out), 10.0, jnp.ones(13)), 7.0
     )
 
 
@@ -45,7 +45,7 @@ def test_merit_grows_with_every_lack():
     problem = short_problem()
     z = random_nodes(problem, 0)
     out = evaluate(problem, z, Grid())
-    point, y = residual(out, jnp.zeros(()), z), no_path_multipliers(problem, out)
+    point, y = residual(out, jnp.zeros(()), z), no_multipliers(problem, z, out)
     base = merit(problem, point, y, 10.0, jnp.ones(13))
     worse = Residual(point.cost, 2.0 * point.defect, point.values)
     outside = Residual(point.cost, point.defect, tuple(v - 5.0 for v in point.values))
@@ -57,15 +57,13 @@ def test_hessians_are_differences_of_the_gradient():
     problem, grid = short_problem(), Grid()
     random, z = np.random.default_rng(0), random_nodes(problem, 1)
     out = evaluate(problem, z, grid)
-    y = jax.tree.map(
-        lambda v: jnp.asarray(random.standard_normal(v.shape)), no_path_multipliers(problem, out)
-    )
+    y = jax.tree.map(lambda v: jnp.asarray(random.standard_normal(v.shape)), no_multipliers(problem, z, out))
 
     @jax.jit
     def gradient(z):
         def lagrangian(z):
             out = evaluate(problem, z, grid)
-            pairs = zip(y.values, out.values, strict=True)
+            pairs = zip(y.by_interval(), out.values, strict=True)
             return jnp.sum(out.cost) + jnp.vdot(y.flow, out.end) - sum(jnp.vdot(a, b) for a, b in pairs)
 
         return jax.grad(lagrangian)(z)

@@ -7,16 +7,17 @@ import numpy as np
 import pytest
 
 from jaxscp.convexify import terminal_cost
-from jaxscp.intervals import Grid, active_points, evaluate, linearise
-from jaxscp.lagrangian import residual
-from jaxscp.lifted import no_multipliers, path_multipliers
+from jaxscp.inequalities import inequalities
+from jaxscp.intervals import Grid, evaluate, linearise
+from jaxscp.lagrangian import no_multipliers
+from jaxscp.problem import end_condition, start_condition
 from jaxscp.relinearise import relinearise
 from jaxscp.stationarity import lagrangian_gradient, stationarity
 from tests.flights import random_nodes, short_problem
 
 ROUNDING = 1e-9  # relative to the largest entry
-FINE = Grid(substeps=80)  # fourth order: 4096 times as accurate as ten substeps
-RK4_ERROR = 1e-7  # of that many, relative to the largest entry
+FINE = Grid(steps=4)  # sixth order: 4096 times as accurate as one step
+RK6_ERROR = 1e-7  # of that many, relative to the largest entry
 
 
 def close(found, expected, tolerance):
@@ -26,35 +27,27 @@ def close(found, expected, tolerance):
 
 @pytest.fixture(scope="module")
 def point():
-    """A problem, node variables, their linearisation and random multipliers of everything but the two ends."""
+    """A problem, node variables, their linearisation and random multipliers."""
     problem, random = short_problem(), np.random.default_rng(0)
     z = random_nodes(problem, 1)
     linear = jax.jit(lambda z: linearise(problem, z, Grid()))(z)
-    shapes = no_multipliers(problem, z, linear)
+    shapes = no_multipliers(problem, z, linear.outputs)
     y = jax.tree.map(lambda v: jnp.asarray(random.standard_normal(v.shape)), shapes)
-    links = y.links.at[0].set(0.0).at[-1].set(0.0)
-    # The path has neither the dilation's limits, which come last, nor the last node's constraints.
-    rows = y.rows.at[-1].set(0.0).at[:, -2:].set(0.0)
-    y = eqx.tree_at(lambda m: (m.links, m.rows), y, (links, rows))
     return problem, z, linear, y
 
 
 def test_gradient_is_that_of_the_lagrangian(point):
-    """What two stages have of a node's controls adds up to the derivative by automatic differentiation."""
     problem, z, linear, y = point
-    path, stage = path_multipliers(problem, linear, y), problem.variables
+    n = problem.state_size
 
     def lagrangian(z):
-        r = residual(evaluate(problem, z, Grid()), terminal_cost(problem, z), z)
-        total = r.cost + jnp.vdot(path.flow, r.defect)
-        for constraint, multiplier, values in zip(problem.constraints, path.values, r.values, strict=True):
-            on = active_points(constraint, values.shape[1])[:, :, None]
-            total -= jnp.sum(jnp.where(on, multiplier * values, 0.0))
-        return total
+        out = evaluate(problem, z, Grid())
+        total = jnp.sum(out.cost) + terminal_cost(problem, z) + jnp.vdot(y.flow, out.end - z[1:, :n])
+        total += jnp.vdot(y.initial, start_condition(problem, z[0, :n])[1])
+        total += jnp.vdot(y.final, end_condition(problem, z[-1, :n])[1])
+        return total - sum(map(jnp.vdot, y.values, inequalities(problem, z, out)))
 
-    stages = lagrangian_gradient(problem, z, linear, y)
-    nodes = stages[:, :stage].at[1:, problem.state_size :].add(stages[:-1, stage:])
-    close(nodes, jax.jit(jax.grad(lagrangian))(z), ROUNDING)
+    close(lagrangian_gradient(problem, z, linear, y), jax.jit(jax.grad(lagrangian))(z), ROUNDING)
 
 
 def test_the_judges_linearisation_is_the_limit_of_the_solvers(point):
@@ -62,7 +55,7 @@ def test_the_judges_linearisation_is_the_limit_of_the_solvers(point):
     found = jax.jit(lambda z: relinearise(problem, z, Grid()))(z)
     expected = jax.jit(lambda z: linearise(problem, z, FINE))(z)
     for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
-        close(a, b, RK4_ERROR)
+        close(a, b, RK6_ERROR)
 
 
 def test_residual_is_relative_to_the_cost(point):

@@ -1,0 +1,335 @@
+"""From a point near the optimum to a point of the central path: a primal-dual interior point on the nonlinear problem.
+
+Newton's method on the conditions of ``central_path`` with slacks s = g(z) and multipliers y of their own, s o y = mu e,
+in Nesterov-Todd scaling; mu falls as the iterates follow (Waechter and Biegler, "On the implementation of an
+interior-point filter line-search algorithm for large-scale nonlinear programming", 2006, without its line search: what
+the convex subproblems lead to is near enough). One factorisation an iteration, and second derivatives throughout:
+the end is quadratic, where that of the subproblems is not.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxscp import riccati
+from jaxscp.central_path import MU, ROOM, Point, inverse
+from jaxscp.conic import cones as second_order
+from jaxscp.constraints import Cone, SecondOrder
+from jaxscp.convexify import terminal_cost
+from jaxscp.discretise import interval_inputs
+from jaxscp.inequalities import (
+    Jacobians,
+    Values,
+    at_nodes,
+    cones,
+    inequalities,
+    jacobians,
+    node_hessians,
+    pulled,
+)
+from jaxscp.intervals import Grid, Linearisation, linearise
+from jaxscp.lagrangian import FlightMultipliers, hessians
+from jaxscp.lifted import stage_sizes
+from jaxscp.problem import OptimalControlProblem, end_condition, start_condition, typical_sizes
+from jaxscp.stationarity import equalities_gradient
+from jaxscp.types import Count, Flag, Scalar
+
+TO_BOUNDARY = 0.99  # share of the way to the cone's boundary that a step may go
+LONGEST = 0.3  # of a variable's typical size, that a step may change it by
+LEAST_SHIFT, GROWTH, MOST_SHIFT = 1e-4, 8.0, 1e4  # of the diagonal where the second-order condition fails
+
+
+class Iterate(eqx.Module):
+    """State of the loop."""
+
+    z: Float[Array, "nodes variables"]
+    y: FlightMultipliers
+    slack: Values
+    mu: Scalar
+    shift: Scalar
+    """Added to the (scaled) curvature when last that was needed."""
+    error: Scalar
+    """Largest of what the conditions of the point before lack, at the final mu; infinite before that."""
+    steps: Count
+    ended: Flag
+    """Whether no step can be taken."""
+
+    @property
+    def point(self) -> Point:
+        """The unknowns of ``central_path``."""
+        return Point(self.z, self.y.flow, self.y.initial, self.y.final)
+
+
+class Local(eqx.Module):
+    """The problem about an iterate."""
+
+    linear: Linearisation
+    values: Values
+    jacobians: Jacobians
+    lack: Point
+    """Gradient of the Lagrangian without inequalities, and residuals of the equalities."""
+
+
+class Interior(eqx.Module):
+    """Settings of the method.
+
+    Args:
+        first: mu to begin with.
+        last: mu of the answer.
+        tolerance: largest residual of the conditions, in typical sizes of the variables.
+        max_steps: Newton steps allowed.
+    """
+
+    first: float = 1e-3
+    last: float = MU
+    tolerance: float = 1e-8
+    max_steps: int = eqx.field(default=80, static=True)
+
+    def run(
+        self,
+        problem: OptimalControlProblem,
+        z: Float[Array, "nodes variables"],
+        y: FlightMultipliers,
+        grid: Grid,
+        wanted: Flag | bool = True,
+    ) -> Iterate:
+        """Iterate to the end; not at all for a lane that is not wanted."""
+        scale = typical_sizes(z)
+        start = self.init(problem, z, y, grid)
+        start = eqx.tree_at(lambda s: s.ended, start, ~jnp.asarray(wanted))
+        return jax.lax.while_loop(
+            lambda s: ~self.terminate(s), lambda s: self.step(problem, s, grid, scale), start
+        )
+
+    def reached(self, iterate: Iterate) -> Flag:
+        """Whether an iterate is the optimum."""
+        return iterate.error <= self.tolerance
+
+    def terminate(self, iterate: Iterate) -> Flag:
+        """Whether the loop is over."""
+        return self.reached(iterate) | iterate.ended | (iterate.steps >= self.max_steps)
+
+    def init(
+        self,
+        problem: OptimalControlProblem,
+        z: Float[Array, "nodes variables"],
+        y: FlightMultipliers,
+        grid: Grid,
+    ) -> Iterate:
+        """Slacks as the point has them, but far enough inside that a multiplier need not exceed the one given."""
+        mu = jnp.asarray(self.first, z.dtype)
+        values = inequalities(problem, z, linearise(problem, z, grid).outputs, ROOM)
+        slack = tuple(
+            _inside(k, g, mu / jnp.maximum(price, jnp.sqrt(mu)))
+            for k, g, price in zip(cones(problem), values, y.values, strict=True)
+        )
+        prices = tuple(mu * inverse(k, s) for k, s in zip(cones(problem), slack, strict=True))
+        # The ends' multipliers, like the prices, follow from the rest in the first step.
+        return Iterate(
+            z=z,
+            y=FlightMultipliers(y.flow, y.initial, y.final, prices),
+            slack=slack,
+            mu=mu,
+            shift=jnp.zeros_like(mu),
+            error=jnp.full_like(mu, jnp.inf),
+            steps=jnp.zeros((), int),
+            ended=jnp.zeros((), bool),
+        )
+
+    def step(
+        self, problem: OptimalControlProblem, old: Iterate, grid: Grid, scale: Float[Array, "variables"]
+    ) -> Iterate:
+        """One Newton step."""
+        here = local(problem, old.z, old.y, grid)
+        error = _error(problem, old, here, scale)
+        ready = (error <= 10.0 * old.mu) & (old.mu > self.last)
+        mu = jnp.where(ready, jnp.maximum(self.last, jnp.minimum(0.2 * old.mu, old.mu**1.5)), old.mu)
+
+        chain = newton_chain(problem, old.z, old.y, old.slack, here, grid, scale)
+        factor, shift = _definite(chain, old.shift)
+        target = tuple(
+            mu * inverse(k, s) - _divide(k, s, y)(g - s)
+            for k, s, y, g in zip(cones(problem), old.slack, old.y.values, here.values, strict=True)
+        )
+        gradient = pulled(problem, here.jacobians, target) - here.lack.z
+        move = riccati.solve(factor, _scaled(Point(gradient, *_negated(here.lack)), scale))
+
+        dz = move.nodes * scale
+        dslack, dprices = [], []
+        for k, s, y, g, slope in zip(
+            cones(problem),
+            old.slack,
+            old.y.values,
+            here.values,
+            along(problem, here.jacobians, dz),
+            strict=True,
+        ):
+            ds = slope + g - s
+            dslack.append(ds)
+            dprices.append(mu * inverse(k, s) - y - _divide(k, s, y)(ds))
+        size = jnp.max(jnp.abs(move.nodes))
+        primal = jnp.minimum(_longest(problem, old.slack, dslack), LONGEST / jnp.maximum(size, LONGEST))
+        dual = _longest(problem, old.y.values, dprices)
+
+        n = problem.state_size
+        dy = FlightMultipliers(move.flow / scale[:n], move.initial, move.final, tuple(dprices))
+        good = factor.definite & jnp.isfinite(size)
+        advance = lambda v, dv, t: jax.tree.map(lambda a, b: jnp.where(good, a + t * b, a), v, dv)  # noqa: E731
+        return Iterate(
+            z=advance(old.z, dz, primal),
+            y=advance(old.y, dy, dual),
+            slack=advance(old.slack, tuple(dslack), primal),
+            mu=mu,
+            shift=shift,
+            error=jnp.where(old.mu <= self.last, error, jnp.inf),
+            steps=old.steps + 1,
+            ended=~good,
+        )
+
+
+def local(
+    problem: OptimalControlProblem, z: Float[Array, "nodes variables"], y: FlightMultipliers, grid: Grid
+) -> Local:
+    """Linearise everything about a point."""
+    linear, n = linearise(problem, z, grid), problem.state_size
+    lack = Point(
+        equalities_gradient(problem, z, linear, y),
+        linear.outputs.end - z[1:, :n],
+        start_condition(problem, z[0, :n])[1],
+        end_condition(problem, z[-1, :n])[1],
+    )
+    values = inequalities(problem, z, linear.outputs, ROOM)
+    return Local(linear, values, jacobians(problem, z, linear), lack)
+
+
+def newton_chain(
+    problem: OptimalControlProblem,
+    z: Float[Array, "nodes variables"],
+    y: FlightMultipliers,
+    slack: Values,
+    here: Local,
+    grid: Grid,
+    scale: Float[Array, "variables"],
+) -> riccati.Chain:
+    """Matrix of the Newton system in scaled variables: the Lagrangian's second derivatives, and W^-2 of every cone."""
+    n, stage = problem.state_size, problem.variables
+    intervals, nodes = hessians(problem, z, y, grid), node_hessians(problem, z, y.values)
+    for k, s, price, jacobian, nodal in zip(
+        cones(problem), slack, y.values, here.jacobians, at_nodes(problem), strict=True
+    ):
+        weighted = jax.vmap(_divide(k, s, price), in_axes=-1, out_axes=-1)(jacobian)
+        gram = jnp.einsum("iprw,iprv->iwv", jacobian, weighted)
+        intervals, nodes = (intervals, nodes + gram) if nodal else (intervals + gram, nodes)
+    nodes = nodes + _ends_hessians(problem, z, y)
+    intervals = intervals.at[:, :stage, :stage].add(nodes[:-1])
+    sizes = stage_sizes(problem, scale)
+    return riccati.Chain(
+        hessian=intervals * sizes * sizes[:, None],
+        last=nodes[-1] * scale * scale[:, None],
+        flow=here.linear.jacobian.end * sizes / scale[:n, None],
+        initial=start_condition(problem, z[0, :n])[0] * scale[:n],
+        final=end_condition(problem, z[-1, :n])[0] * scale[:n],
+    )
+
+
+def _ends_hessians(problem: OptimalControlProblem, z: Float[Array, "nodes variables"], y: FlightMultipliers):
+    """Second derivatives of the conditions at both ends, times their multipliers, and of the terminal cost in the
+    last state."""
+    n, last = problem.state_size, problem.nodes - 1
+
+    def at_start(state):
+        return jnp.vdot(y.initial, start_condition(problem, state)[1])
+
+    def at_end(state):
+        cost = terminal_cost(problem, z.at[last, :n].set(state))
+        return cost + jnp.vdot(y.final, end_condition(problem, state)[1])
+
+    nodes = jnp.zeros((*z.shape, z.shape[1]), z.dtype)
+    nodes = nodes.at[0, :n, :n].set(jax.hessian(at_start)(z[0, :n]))
+    return nodes.at[last, :n, :n].add(jax.hessian(at_end)(z[last, :n]))
+
+
+def along(
+    problem: OptimalControlProblem, jacobians: Jacobians, dz: Float[Array, "nodes variables"]
+) -> Values:
+    """Slopes of the inequalities along a direction."""
+    dw = interval_inputs(problem, dz)
+    return tuple(
+        jnp.einsum("iprw,iw->ipr", jacobian, dz if nodal else dw)
+        for jacobian, nodal in zip(jacobians, at_nodes(problem), strict=True)
+    )
+
+
+def _definite(chain: riccati.Chain, last: Scalar) -> tuple[riccati.Factor, Scalar]:
+    """Factor the matrix; where the second-order condition fails, with the least shift of a rising few that mends it."""
+
+    def more(carry):
+        _, shift = carry
+        shift: Array = jnp.where(shift > 0, GROWTH * shift, jnp.maximum(LEAST_SHIFT, last / GROWTH))
+        return riccati.factor(chain.shifted(shift)), shift
+
+    def fails(carry):
+        factor, shift = carry
+        return ~factor.definite & (shift < MOST_SHIFT)
+
+    factor, used = jax.lax.while_loop(fails, more, (riccati.factor(chain), jnp.zeros_like(last)))
+    kept: Array = jnp.where(used > 0, used, last)
+    return factor, kept
+
+
+def _error(
+    problem: OptimalControlProblem, at: Iterate, here: Local, scale: Float[Array, "variables"]
+) -> Scalar:
+    dual = (here.lack.z - pulled(problem, here.jacobians, at.y.values)) * scale
+    apart = [g - s for g, s in zip(here.values, at.slack, strict=True)]
+    pairs = [
+        (second_order.jordan_product(s, y) - at.mu * _unit(s))
+        if isinstance(k, SecondOrder)
+        else s * y - at.mu
+        for k, s, y in zip(cones(problem), at.slack, at.y.values, strict=True)
+    ]
+    parts = [dual, here.lack.flow, here.lack.initial, here.lack.final, *apart, *pairs]
+    return jnp.max(jnp.stack([jnp.max(jnp.abs(part), initial=0.0) for part in parts]))
+
+
+def _unit(like: Float[Array, "*b rows"]):
+    return jnp.zeros_like(like).at[..., 0].set(1.0)
+
+
+def _inside(cone: Cone, values: Float[Array, "*b rows"], least: Float[Array, "*b rows"]):
+    """The values, moved in where they have less than ``least`` to the cone's boundary."""
+    if not isinstance(cone, SecondOrder):
+        return jnp.maximum(values, least)
+    norm = jnp.linalg.norm(values[..., 1:], axis=-1)
+    return values.at[..., 0].set(norm + jnp.maximum(values[..., 0] - norm, least[..., 0]))
+
+
+def _divide(cone: Cone, s: Float[Array, "*b rows"], y: Float[Array, "*b rows"]):
+    """The map v -> W^-2 v of the scaling of a pair."""
+    if isinstance(cone, SecondOrder):
+        return second_order.second_order_scaling(s, y).inverse_square
+    return lambda v: v * y / s
+
+
+def _longest(problem: OptimalControlProblem, point: Values, direction) -> Scalar:
+    """Step, at most one, that keeps a point in the cones."""
+
+    def one(cone, v, dv):
+        if isinstance(cone, SecondOrder):
+            return jnp.min(second_order.step_to_boundary(v, dv))
+        share: Array = jnp.where(dv < 0, -v / dv, jnp.inf)
+        return jnp.min(share)
+
+    steps = [one(k, v, dv) for k, v, dv in zip(cones(problem), point, direction, strict=True)]
+    return jnp.minimum(1.0, TO_BOUNDARY * jnp.min(jnp.stack(steps)))
+
+
+def _negated(lack: Point):
+    return -lack.flow, -lack.initial, -lack.final
+
+
+def _scaled(right: Point, scale: Float[Array, "variables"]) -> riccati.Side:
+    return riccati.Side(
+        right.z * scale, right.flow / scale[: right.flow.shape[1]], right.initial, right.final
+    )
