@@ -318,8 +318,7 @@ def _longest(problem: OptimalControlProblem, point: Values, direction) -> Scalar
     def one(cone, v, dv):
         if isinstance(cone, SecondOrder):
             return jnp.min(second_order.step_to_boundary(v, dv))
-        share: Array = jnp.where(dv < 0, -v / dv, jnp.inf)
-        return jnp.min(share)
+        return jnp.min(jnp.nan_to_num(-v / jnp.minimum(dv, -1e-300), nan=0.0))
 
     steps = [one(k, v, dv) for k, v, dv in zip(cones(problem), point, direction, strict=True)]
     return jnp.minimum(1.0, TO_BOUNDARY * jnp.min(jnp.stack(steps)))

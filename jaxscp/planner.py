@@ -17,7 +17,7 @@ from jaxscp.landing import landing_problem
 from jaxscp.mission import LandingScenario
 from jaxscp.newton import NewtonSCP
 from jaxscp.problem import OptimalControlProblem, node_times
-from jaxscp.scp import SCP, History
+from jaxscp.scp import SCP, Answer, History, solve
 from jaxscp.status import Status, StatusCode
 from jaxscp.trajectory import Trajectory
 from jaxscp.types import Count, Flag, Scalar
@@ -106,10 +106,10 @@ class Planner(eqx.Module):
         self,
         problem: OptimalControlProblem,
         state: Any,
+        answer: Answer,
         allocation: Int[Array, "intervals"],
     ) -> Solution:
         """Certify what the iterations ended with, the method's own state."""
-        answer = self.method.answer(problem, state)
         trajectory = trajectory_of(problem, answer.z)
         frozen, flown = jax.lax.stop_gradient((problem, trajectory))
         optimality = self.method.optimality(frozen, state)
@@ -155,9 +155,7 @@ def _setup_again(planner: Planner, scenario: LandingScenario, allocation):
 
 @functools.partial(jax.jit, static_argnums=0)
 def _solve(planner: Planner, ok: Flag, problem: OptimalControlProblem, z, allocation) -> Solution:
-    frozen, z = jax.lax.stop_gradient((problem, z))
-    state = planner.method.run(frozen, z, ok)
-    solution = planner.conclude(problem, state, allocation)
+    solution = planner.conclude(problem, *solve(planner.method, problem, z, ok), allocation)
     return _blank_unless(ok, solution)
 
 

@@ -5,6 +5,7 @@ Under ``vmap`` a lane that has ended keeps its state while others go on.
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -51,6 +52,18 @@ class Answer(eqx.Module):
     """Whether it is an optimum to rounding."""
     newton_steps: Count
     """Of the interior point that ended there."""
+
+
+def solve(
+    method: Any,
+    problem: OptimalControlProblem,
+    z: Float[Array, "nodes variables"],
+    wanted: Flag | bool = True,
+) -> tuple[Any, Answer]:
+    """The method's last state, and its answer as a function of the problem: gradients go round the iterations."""
+    frozen, z = jax.lax.stop_gradient((problem, z))
+    state = method.run(frozen, z, wanted)
+    return state, method.answer(problem, state)
 
 
 class SCPState(eqx.Module):

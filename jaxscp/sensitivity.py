@@ -14,6 +14,7 @@ import functools
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
 from jaxopt import implicit_diff
 from jaxtyping import Array
 
@@ -80,13 +81,15 @@ def _solve(problem: OptimalControlProblem, point: Point, grid: Grid, reached: Fl
     factor = riccati.factor(chain)
     defined = reached & factor.definite
 
-    def solve(_, right):
-        asked = jnp.any(jnp.stack([jnp.any(v != 0) for v in jax.tree.leaves(right)]))
-        nothing = jnp.where(asked & ~defined, jnp.nan, 0.0)
-        return jax.tree.map(lambda v: jnp.where(defined, v, nothing), riccati.solve(factor, right))
-
     scaled = riccati.Side(right.z * scale, right.flow / scale[:n], right.initial, right.final)
-    found = jax.lax.custom_linear_solve(
-        lambda x: riccati.apply(chain, x), scaled, solve, transpose_solve=solve, symmetric=True
-    )
+    flat, unravel = ravel_pytree(scaled)  # one vector, so that all of it is linear in the tangents, or none
+
+    def matrix(v):
+        return ravel_pytree(riccati.apply(chain, unravel(v)))[0]
+
+    def solve(_, v):
+        nothing = jnp.where(jnp.any(v != 0) & ~defined, jnp.nan, 0.0)
+        return jnp.where(defined, ravel_pytree(riccati.solve(factor, unravel(v)))[0], nothing)
+
+    found = unravel(jax.lax.custom_linear_solve(matrix, flat, solve, transpose_solve=solve, symmetric=True))
     return Point(found.nodes * scale, found.flow / scale[:n], found.initial, found.final)
