@@ -1,7 +1,7 @@
 """How close to the optimum, how safe, in how many subproblems: ours against CasADi and IPOPT, side by side.
 
 The suite: both missions, an L-shaped and the three-box corridor, a moving deck, a keep-out ball and random variations
-of the missions, each with w_t = 0 and w_t = 5. IPOPT solves the identical transcription (same nodes, integration,
+of the missions, each with w_t = 0 and w_t = 5. IPOPT solves the identical transcription (same nodes,
 points between the nodes and margins) from four starts; ours starts from the standard guess alone. Then come the
 paper's method, on the first of those cases, and random instances, a tenth of them infeasible by construction, which
 are planned in batches and judged by the certificate.

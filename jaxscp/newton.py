@@ -152,7 +152,6 @@ class NewtonSCP(eqx.Module):
         cost = jnp.sum(evaluate(problem, point.z, self.grid).cost) + terminal_cost(problem, point.z)
         own = multipliers(problem, point, self.grid)
         own = jax.tree.map(lambda a, b: jnp.where(state.reached, a, b), own, y)
-        cost = jnp.where(state.reached, cost, state.cost)
         return Answer(point.z, cost, own, state.reached, state.newton_steps)
 
     def optimality(self, problem: OptimalControlProblem, state: NewtonState) -> Scalar:

@@ -105,7 +105,7 @@ def test_table_report_and_times_are_printed(answer, facts):
     for text in ("iteration", "cost", "t_f [s]", "|nu|", "|dz|", "defect", "conic steps"):
         assert text in result.stdout
     assert f"{facts['history'][0]['cost']:.4f}" in result.stdout
-    for text in ("status: converged", "re-flown end", "corridor", "ms an iteration", "s to compile"):
+    for text in ("status: converged", "re-flown end", "corridor", "ms a plan once compiled", "s to compile"):
         assert text in result.stdout
 
 

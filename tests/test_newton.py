@@ -14,9 +14,9 @@ from jaxscp.certificate import OPTIMALITY
 from tests.flights import random_nodes, short_problem
 
 MISSIONS = {"platform": scenarios.platform_to_platform, "ascend": scenarios.ascent_to_platform}
-# Relative. The method ends where a step would gain 1e-4; the cost is flat there, and many such steps may be left. Where
-# short intervals lie is a choice with many local optima of nearly one cost: rounding decides between them.
-SAME_COST = 1e-2
+# Relative. Where short intervals lie is a choice with many local optima of nearly one cost, and who starts elsewhere may
+# end in another.
+SAME_COST = 2e-3
 
 
 @pytest.mark.slow

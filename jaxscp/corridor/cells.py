@@ -1,5 +1,7 @@
 """One polytope a leg of a route, and the overlaps between them: on the device, in shapes known beforehand."""
 
+from itertools import islice
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -7,13 +9,15 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, ScalarLike
 
 from jaxscp.corridor.clouds import PointCloud
-from jaxscp.corridor.decompose import Cell, Decomposition
+from jaxscp.corridor.decompose import Cell, Decomposition, Seed, seed_of
 from jaxscp.corridor.overlaps import Ball, deepest_ball, intersect
 from jaxscp.corridor.polytopes import Corridor, Polytope
 from jaxscp.types import Vector3
 
 _LEGS_A_CALL = 4
 _SMALLEST_BUCKET = 1024
+_MARGIN = 1e-3
+"""How much farther than its box the host looks for a segment's points, metres."""
 
 
 class Chain(eqx.Module):
@@ -77,18 +81,30 @@ def consecutive_overlaps(polytopes: Polytope, skip: int = 1) -> Ball:
 
 
 @jax.jit
-def _cells_one_by_one(method, segments, points, present, radius, clearance, lower, upper) -> Cell:
+def _cells_one_by_one(method, segments, columns, present, radius, clearance, lower, upper) -> Cell:
     """A loop over segments: on a CPU faster than doing them abreast, for each ends when its own points do."""
-    return jax.lax.map(
-        lambda leg: method(*leg, radius, clearance, lower, upper),
-        (segments, points, present),
-    )
+
+    def one(leg):
+        segment, columns, present = leg
+        return method(segment, columns.T, present, radius, clearance, lower, upper)
+
+    return jax.lax.map(one, (segments, columns, present))
 
 
 @jax.jit
-def _cells_abreast(method, segments, points, present, radius, clearance, lower, upper) -> Cell:
+def _cells_abreast(method, segments, columns, present, radius, clearance, lower, upper) -> Cell:
     """All segments at once: what a GPU wants."""
-    return jax.vmap(lambda *leg: method(*leg, radius, clearance, lower, upper))(segments, points, present)
+
+    def one(segment, columns, present):
+        return method(segment, columns.T, present, radius, clearance, lower, upper)
+
+    return jax.vmap(one)(segments, columns, present)
+
+
+@jax.jit
+def _frames(segments) -> Seed:
+    """Frames of many segments, along a leading axis."""
+    return jax.vmap(seed_of)(segments)
 
 
 def cells_along(
@@ -116,7 +132,11 @@ def cells_along(
     """
     keep = radius + cloud.spread
     columns = np.ascontiguousarray(cloud.points.T)
-    near = [_near(columns, segment, method.reach + keep) for segment in segments]
+    # Padded to whole calls, so that few numbers of segments are ever compiled.
+    padded = np.resize(segments, (len(segments) + -len(segments) % _LEGS_A_CALL, 2, 3))
+    frames = jax.device_get(_frames(padded))
+    boxes = zip(frames.axes, frames.middle, frames.half, strict=True)
+    near = [_near(columns, *box, method.reach + keep) for box in islice(boxes, len(segments))]
     # Segments with like numbers of points go together, so that little is padded.
     order = np.argsort([points.shape[1] for points in near], kind="stable")
     run = _cells_one_by_one if jax.default_backend() == "cpu" else _cells_abreast
@@ -126,13 +146,13 @@ def cells_along(
     for first in range(0, len(order), _LEGS_A_CALL):
         some = order[first : first + _LEGS_A_CALL]
         bucket = max(_SMALLEST_BUCKET, 1 << (near[some[-1]].shape[1] - 1).bit_length())
-        points = np.zeros((_LEGS_A_CALL, bucket, 3))
+        points = np.zeros((_LEGS_A_CALL, 3, bucket))
         present = np.zeros((_LEGS_A_CALL, bucket), bool)
         ends = np.zeros((_LEGS_A_CALL, 2, 3))
         for row, index in enumerate(some):
             count = near[index].shape[1]
             ends[row] = segments[index]
-            points[row, :count] = near[index].T
+            points[row, :, :count] = near[index]
             present[row, :count] = True
         calls.append(run(method, ends, points, present, keep, clearance, low, high))
     back = np.argsort(order)
@@ -140,24 +160,20 @@ def cells_along(
 
 
 def _near(
-    columns: Float[np.ndarray, "3 points"], segment: Float[np.ndarray, "2 3"], reach: float
+    columns: Float[np.ndarray, "3 points"],
+    axes: Float[np.ndarray, "3 3"],
+    middle: Float[np.ndarray, "3"],
+    half: float,
+    reach: float,
 ) -> Float[np.ndarray, "3 near"]:
-    """Points in the cylinder about a segment that holds its box, whichever way that is rolled."""
-    along = segment[1] - segment[0]
-    length = float(np.linalg.norm(along))
-    along = along / length if length > 0 else np.array([1.0, 0.0, 0.0])
-    wide, long = np.sqrt(2.0) * reach, 0.5 * length + reach
-    middle = segment.mean(axis=0)
-    half = np.abs(along) * long + wide * np.sqrt(np.maximum(1.0 - along * along, 0.0)) + 1e-6
-    low, high = middle - half, middle + half
+    """Points in a segment's box, and a little around it, so that the device's rounding misses none."""
+    extent = np.array([half, 0.0, 0.0]) + (reach + _MARGIN)
+    around = extent @ np.abs(axes)
+    low, high = middle - around, middle + around
     inside = (columns[0] >= low[0]) & (columns[0] <= high[0])
     for axis in (1, 2):
         inside &= columns[axis] >= low[axis]
         inside &= columns[axis] <= high[axis]
     points = columns.take(np.flatnonzero(inside), axis=1)
-    offset = points - middle[:, None]
-    share = along @ offset
-    close = (np.abs(share) <= long + 1e-6) & (
-        np.sum(offset * offset, axis=0) - share * share <= wide**2 + 1e-6
-    )
-    return points.take(np.flatnonzero(close), axis=1)
+    local = np.abs(axes @ (points - middle[:, None]))
+    return points.take(np.flatnonzero(np.all(local <= extent[:, None], axis=0)), axis=1)

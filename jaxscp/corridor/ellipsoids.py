@@ -30,7 +30,7 @@ class Ellipsoid(eqx.Module):
 def first_index_of_least(values: Float[Array, "points"]) -> tuple[Array, Array]:
     """Least value and its first index. Two plain reductions, faster on a CPU than one ``argmin``."""
     least = jnp.min(values)
-    places = jnp.arange(values.size)
+    places = jnp.arange(values.size, dtype=jnp.int32)
     return least, jnp.min(jnp.where(values == least, places, values.size - 1))
 
 
@@ -58,17 +58,19 @@ def around_segment(points: Columns, active: Bool[Array, "points"], half: ScalarL
     x, y, z = points
     tiny = 64.0 * jnp.finfo(points.dtype).eps
     room = 1.0 - (x / half) ** 2
-    needed = jnp.hypot(y, z) / jnp.sqrt(jnp.maximum(room, tiny))
+    # Squares are compared: only the least needs a root.
+    needed = (y * y + z * z) / jnp.maximum(room, tiny)
     least, nearest = first_index_of_least(jnp.where(active & (room > tiny), needed, jnp.inf))
+    least = jnp.sqrt(least)
     b = jnp.clip(least, 1e-6 * half, half)
     roll = jnp.where(least < half, jnp.arctan2(z[nearest], y[nearest]), 0.0)
     cos, sin = jnp.cos(roll), jnp.sin(roll)
 
     y, z = cos * y + sin * z, cos * z - sin * y
     room = room - (y / b) ** 2
-    needed = jnp.abs(z) / jnp.sqrt(jnp.maximum(room, tiny))
+    needed = z * z / jnp.maximum(room, tiny)
     # No point lies inside the surface of revolution, so c >= b: what falls below is rounding of 0 / 0.
-    c = jnp.clip(jnp.min(jnp.where(active & (room > tiny), needed, jnp.inf)), b, half)
+    c = jnp.clip(jnp.sqrt(jnp.min(jnp.where(active & (room > tiny), needed, jnp.inf))), b, half)
     zero = jnp.zeros_like(b)
     shape = jnp.array([[half + zero, zero, zero], [zero, b * cos, -c * sin], [zero, b * sin, c * cos]])
     return Ellipsoid(shape, jnp.zeros(3, points.dtype))
@@ -106,54 +108,52 @@ def inside_polytope(
     a0, a1, a2 = normals.T
     o = jnp.zeros_like(a0)
     # Rows of the cone vector (t, v) = (b - a . d, L^T a) per face, linear in (l00, l10, l11, l20, l21,
-    # l22, d).
+    # l22, d). Faces come last, so that every pass runs along memory.
     linear = jnp.stack(
         [
-            jnp.stack([o, o, o, o, o, o, -a0, -a1, -a2], axis=-1),
-            jnp.stack([a0, a1, o, a2, o, o, o, o, o], axis=-1),
-            jnp.stack([o, o, a1, o, a2, o, o, o, o], axis=-1),
-            jnp.stack([o, o, o, o, o, a2, o, o, o], axis=-1),
+            jnp.stack([o, o, o, o, o, o, -a0, -a1, -a2]),
+            jnp.stack([a0, a1, o, a2, o, o, o, o, o]),
+            jnp.stack([o, o, a1, o, a2, o, o, o, o]),
+            jnp.stack([o, o, o, o, o, a2, o, o, o]),
         ]
     )
+    signs = jnp.array([1.0, -1.0, -1.0, -1.0], dtype)
+    # Half the second derivative of every face's depth: constant, for the depth is quadratic.
+    curvature = jnp.einsum("r,rif,rjf->ijf", signs, linear, linear)
     diagonal = jnp.array([1, 0, 1, 0, 0, 1, 0, 0, 0], dtype)
     unknowns = jnp.concatenate([radius * diagonal[:6], jnp.zeros(3, dtype)])
     steps = jnp.asarray(_LINE_SEARCH, dtype)
-
-    signs = jnp.array([1.0, -1.0, -1.0, -1.0], dtype)[:, None]
 
     def depth(w):
         """Product (t - |v|) (t + |v|) of every face, zero outside its cone."""
         side = jnp.sqrt(w[..., 1, :] ** 2 + w[..., 2, :] ** 2 + w[..., 3, :] ** 2)
         return jnp.where(w[..., 0, :] > side, (w[..., 0, :] - side) * (w[..., 0, :] + side), 0.0)
 
-    def merit(unknowns, w, weight):
+    def merit(unknowns, depths, weight):
         lengths = jnp.where(diagonal > 0, unknowns, 1.0)
-        value = -weight * jnp.sum(jnp.log(lengths), axis=-1) - jnp.sum(jnp.log(depth(w)), axis=-1)
+        value = -weight * jnp.sum(jnp.log(lengths), axis=-1) - jnp.sum(jnp.log(depths), axis=-1)
         return jnp.where(jnp.all(lengths > 0, axis=-1) & jnp.isfinite(value), value, jnp.inf)
 
     def newton(step, state):
         unknowns, w = state
         weight = jnp.asarray(_WEIGHT_GROWTH, dtype) ** step
         d = depth(w)
-        along = jnp.sum(linear * (signs * w / d)[..., None], axis=0)
+        along = jnp.sum(linear * (signs[:, None] * w / d)[:, None], axis=0)
         inverse = jnp.where(diagonal > 0, 1.0 / unknowns, 0.0)
-        gradient = -2.0 * jnp.sum(along, axis=0) - weight * inverse
-        curved = (linear * (signs / d)[..., None]).reshape(-1, 9)
-        hessian = (
-            4.0 * along.T @ along - 2.0 * curved.T @ linear.reshape(-1, 9) + jnp.diag(weight * inverse**2)
-        )
+        gradient = -2.0 * jnp.sum(along, axis=1) - weight * inverse
+        hessian = 4.0 * along @ along.T - 2.0 * curvature @ (1.0 / d) + jnp.diag(weight * inverse**2)
         move = -jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(hessian), True), gradient)
-        w_move = linear @ move
+        w_move = jnp.einsum("rif,i->rf", linear, move)
         trials = unknowns + steps[:, None] * move
-        values = merit(trials, w + steps[:, None, None] * w_move, weight)
+        values = merit(trials, depth(w + steps[:, None, None] * w_move), weight)
         best = jnp.argmin(values)
-        taken = jnp.where(values[best] < merit(unknowns, w, weight), steps[best], 0.0)
+        taken = jnp.where(values[best] < merit(unknowns, d, weight), steps[best], 0.0)
         # A step not taken must not bring in what is not finite.
         return jax.tree.map(
             lambda a, da: jnp.where(taken > 0, a + taken * da, a), (unknowns, w), (move, w_move)
         )
 
-    w = (linear @ unknowns).at[0].add(slack)
+    w = jnp.einsum("rif,i->rf", linear, unknowns).at[0].add(slack)
     u, _ = jax.lax.fori_loop(0, _NEWTON_STEPS, newton, (unknowns, w))
     zero = jnp.zeros_like(u[0])
     shape = jnp.array([[u[0], zero, zero], [u[1], u[2], zero], [u[3], u[4], u[5]]])

@@ -19,6 +19,10 @@ def draw_convergence(axes: Any, solution: Solution) -> Any:
     axes[0].set_ylabel("cost")
     axes[1].plot(count, rows["final_time"], "o-", color=BLUE, markersize=4, linewidth=1.2)
     axes[1].set_ylabel("flight time [s]")
+    if bool(solution.differentiable):
+        for ax, value in ((axes[0], solution.cost), (axes[1], solution.final_time)):
+            ax.axhline(float(value), color="0.4", linestyle="--", linewidth=1.0, label="optimum")
+            ax.legend(loc="best", **LEGEND)
     draw_residuals(axes[2], count, rows)
     for ax in axes:
         ax.set_xlabel("iteration")

@@ -48,8 +48,10 @@ def headline(solution: Solution) -> str:
     between = np.asarray(solution.certificate.between_nodes)
     worst = solution.certificate.names[int(between.argmax())]
     status = str(status_names(solution.status)).replace("_", " ")
+    steps = int(solution.newton_steps)
+    end = f" and {steps} Newton steps" if steps else ""
     return (
-        f"{status} after {int(solution.iterations)} iterations:  "
+        f"{status} after {int(solution.iterations)} iterations{end}:  "
         f"cost {float(solution.cost):.4g},  flight time {float(solution.final_time):.2f} s,  "
         f"worst violation between nodes {between.max():.2g} ({worst})"
     )
