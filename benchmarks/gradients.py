@@ -41,7 +41,8 @@ SMALLEST = (
     1e-3  # of the largest derivative of an output over all leaves: smaller ones are judged relative to that
 )
 MISSIONS = {"platform": scenarios.platform_to_platform, "ascend": scenarios.ascent_to_platform}
-PLANNER = jaxscp.Planner(nodes=NODES)
+METHOD = jaxscp.NewtonSCP()
+PLANNER = jaxscp.Planner(nodes=NODES, method=METHOD)
 
 
 def bare(scenario: LandingScenario) -> LandingScenario:
@@ -81,7 +82,7 @@ def direction(key, scenario: LandingScenario, leaf: Any) -> LandingScenario:
 
 def outputs(problem, z):
     """Cost, flight time, and three random functions of the trajectory."""
-    cost = jnp.sum(evaluate(problem, z, PLANNER.method.grid).cost) + terminal_cost(problem, z)
+    cost = jnp.sum(evaluate(problem, z, METHOD.grid).cost) + terminal_cost(problem, z)
     mix = jax.random.normal(jax.random.key(3), (3, *z.shape), z.dtype) / jnp.sqrt(z.size)
     return jnp.concatenate([jnp.stack([cost, node_times(z[:, -1])[-1]]), jnp.einsum("knv,nv->k", mix, z)])
 
@@ -93,7 +94,7 @@ def implicit(scenario, solution, change):
 
     def of(scenario):
         problem = landing_problem(scenario, solution.allocation)
-        return outputs(problem, follow(problem, point, PLANNER.method.grid, solution.differentiable).z)
+        return outputs(problem, follow(problem, point, METHOD.grid, solution.differentiable).z)
 
     return jax.jvp(of, (scenario,), (change,))[1]
 
@@ -102,7 +103,7 @@ def again(scenario, solution, change, length):
     """Outputs of the changed problem, solved again; the active set; and whether that ended well."""
     moved = jax.tree.map(lambda a, b: a + length * b, scenario, change)
     problem = landing_problem(moved, solution.allocation)
-    end = AGAIN.run(problem, solution.z, solution.multipliers, PLANNER.method.grid)
+    end = AGAIN.run(problem, solution.z, solution.multipliers, METHOD.grid)
     active = jnp.concatenate([(y > s).ravel() for y, s in zip(end.y.values, end.slack, strict=True)])
     return outputs(problem, end.z), active, AGAIN.reached(end)
 
@@ -186,7 +187,7 @@ def cost_of_gradients(lanes: int, repeats: int, echo: Any) -> dict[str, Any]:
     figures = {}
     for name, function in (("plan", cost), ("with_gradient", jax.value_and_grad(cost))):
         compiled = jax.jit(function).lower(floats).compile()
-        memory = compiled.memory_analysis()
+        memory: Any = compiled.memory_analysis()
         jax.block_until_ready(compiled(floats))
         times = []
         for _ in range(repeats):

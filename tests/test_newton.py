@@ -14,8 +14,8 @@ from jaxscp.certificate import OPTIMALITY
 from tests.flights import random_nodes, short_problem
 
 MISSIONS = {"platform": scenarios.platform_to_platform, "ascend": scenarios.ascent_to_platform}
-# Relative. Where short intervals lie is a choice with many local optima of nearly one cost, and who starts elsewhere may
-# end in another.
+# Relative. Where short intervals lie is a choice with many local optima of nearly one cost, and who starts elsewhere
+# may end in another.
 SAME_COST = 2e-3
 
 
