@@ -67,7 +67,7 @@ def node_hessians(
             def product(v, p, y, c=constraint):
                 return -jnp.vdot(y, _at_node(problem, c, v, p))
 
-            total += on * jax.vmap(jax.hessian(product))(z, constraint.parameters, y)
+            total += on.astype(z.dtype) * jax.vmap(jax.hessian(product))(z, constraint.parameters, y)
     return total
 
 
