@@ -92,11 +92,10 @@ def test_paper_mode_has_no_derivative_and_says_so():
 
 @pytest.fixture(scope="module")
 def planned():
-    """Cost and flight time of Case 2, and their gradients, as one compiled function of the scenario's floats."""
-    scenario = dataclasses.replace(scenarios.ascent_to_platform(), obstacles=None)
-    scenario = eqx.tree_at(lambda s: s.weights.time, scenario, jnp.asarray(1.0))
+    """Cost and flight time of Case 1, and their gradients, as one compiled function of the scenario's floats."""
+    scenario = dataclasses.replace(scenarios.platform_to_platform(), obstacles=None)
     floats, rest = eqx.partition(scenario, eqx.is_inexact_array)
-    planner = jaxscp.Planner(nodes=20)
+    planner = jaxscp.Planner()
 
     def both(floats):
         solution = planner(eqx.combine(floats, rest))
@@ -147,10 +146,8 @@ def test_a_heavier_world_takes_as_long(planned):
 @pytest.mark.parametrize(
     ("leaf", "h"),
     [
-        (lambda s: s.airframe.body.mass, 1e-4),
-        (lambda s: s.cone_angle, 1e-4),
-        (lambda s: s.weights.time, 1e-3),
-        (lambda s: s.goal.position, 1e-4),
+        (lambda s: s.airframe.body.mass, 1e-5),
+        (lambda s: s.cone_angle, 1e-5),
     ],
 )
 def test_gradients_are_differences_of_plans_made_again(planned, leaf, h):
