@@ -5,9 +5,8 @@ curvature convex, correcting a step to second order) has to hold them.
 """
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Shaped
 
 from jaxscp.constraints import SecondOrder
 from jaxscp.intervals import Linearisation, Outputs, active_points
@@ -53,50 +52,33 @@ def active_set(
         multipliers: its own.
         scale: typical sizes of an interval's variables.
     """
-    gradients, weights = [], []
-    for constraint, values, jacobian, y in zip(
-        problem.constraints,
-        linear.outputs.values,
-        linear.jacobian.values,
-        multipliers.by_interval(),
-        strict=True,
-    ):
-        gradient, price = _scalar_conditions(constraint.cone, values, jacobian, y)
-        gradient = gradient * scale
-        size = jnp.linalg.norm(gradient, axis=-1)
-        on = (price * size > PULL) & active_points(constraint, values.shape[1])[:, :, None]
-        gradients.append(gradient.reshape(gradient.shape[0], -1, gradient.shape[-1]))
-        weights.append(on.reshape(on.shape[0], -1))
-    gradient = jnp.concatenate(gradients, axis=1)
-    size = jnp.maximum(jnp.linalg.norm(gradient, axis=-1), 1e-9)
-    weight = jnp.concatenate(weights, axis=1).astype(gradient.dtype)
-    at_limit = (multipliers.dilation > PULL).astype(gradient.dtype)
-    return ActiveSet(gradient / size[..., None], size, weight, at_limit)
+    gradient, size = _gradients(problem, linear, scale)
+    prices = [
+        y[..., :1] if isinstance(c.cone, SecondOrder) else jnp.abs(y)
+        for c, y in zip(problem.constraints, multipliers.by_interval(), strict=True)
+    ]
+    on = (_side_by_side(prices) * size > PULL) & _hold(problem, prices)
+    at_limit = multipliers.dilation > PULL
+    return ActiveSet(gradient, size, on.astype(size.dtype), at_limit.astype(size.dtype))
 
 
 def near_limits(
     problem: OptimalControlProblem,
     linear: Linearisation,
-    multipliers: FlightMultipliers,
-    dilation: Nodes,
+    z: Float[Array, "nodes variables"],
     scale: Float[Array, "inputs"],
 ) -> ActiveSet:
-    """Whatever has less slack than ``NEAR`` left, whether or not it has a price."""
-    free = jax.tree.map(jnp.zeros_like, multipliers)
-    conditions = active_set(problem, linear, free, scale)
-    on = [
-        ((slack(c.cone, v) < NEAR) & active_points(c, v.shape[1])[:, :, None]).reshape(v.shape[0], -1)
-        for c, v in zip(problem.constraints, linear.outputs.values, strict=True)
-    ]
-    at_limit = jnp.minimum(dilation - problem.dilation_min, problem.dilation_max - dilation) < NEAR
-    weight = jnp.concatenate(on, axis=1).astype(dilation.dtype)
-    return ActiveSet(conditions.gradient, conditions.size, weight, at_limit.astype(dilation.dtype))
+    """Whatever has less slack than ``NEAR`` left at ``z``, where ``linear`` is, whether or not it has a price."""
+    gradient, size = _gradients(problem, linear, scale)
+    room = [slack(c.cone, v) for c, v in zip(problem.constraints, linear.outputs.values, strict=True)]
+    on = (_side_by_side(room) < NEAR) & _hold(problem, room)
+    at_limit = jnp.abs(z[:, -1] - nearest_dilation_limit(problem, z[:, -1])) < NEAR
+    return ActiveSet(gradient, size, on.astype(size.dtype), at_limit.astype(size.dtype))
 
 
 def slacks(problem: OptimalControlProblem, outputs: Outputs) -> Float[Array, "intervals conditions"]:
     """The conditions' values at a point, in the order of an ``ActiveSet``."""
-    parts = [slack(c.cone, v) for c, v in zip(problem.constraints, outputs.values, strict=True)]
-    return jnp.concatenate([part.reshape(part.shape[0], -1) for part in parts], axis=1)
+    return _side_by_side([slack(c.cone, v) for c, v in zip(problem.constraints, outputs.values, strict=True)])
 
 
 def nearest_dilation_limit(problem: OptimalControlProblem, dilation: Nodes) -> Nodes:
@@ -105,11 +87,32 @@ def nearest_dilation_limit(problem: OptimalControlProblem, dilation: Nodes) -> N
     return jnp.where(dilation < middle, problem.dilation_min, problem.dilation_max)
 
 
-def _scalar_conditions(cone, values, jacobian, y):
-    """Gradients of every scalar condition, and their prices."""
-    if not isinstance(cone, SecondOrder):
-        return jacobian, jnp.abs(y)
-    norm = jnp.linalg.norm(values[..., 1:], axis=-1, keepdims=True)
-    unit = values[..., 1:] / jnp.maximum(norm, 1e-6)
-    gradient = jacobian[..., :1, :] - jnp.einsum("...k,...kw->...w", unit, jacobian[..., 1:, :])[..., None, :]
-    return gradient, y[..., :1]
+def _gradients(problem: OptimalControlProblem, linear: Linearisation, scale: Float[Array, "inputs"]):
+    """Of every scalar condition, at unit length, and the length before."""
+    parts = []
+    for constraint, values, jacobian in zip(
+        problem.constraints, linear.outputs.values, linear.jacobian.values, strict=True
+    ):
+        if isinstance(constraint.cone, SecondOrder):
+            norm = jnp.linalg.norm(values[..., 1:], axis=-1, keepdims=True)
+            unit = values[..., 1:] / jnp.maximum(norm, 1e-6)
+            inward = jnp.einsum("ipk,ipkw->ipw", unit, jacobian[..., 1:, :])
+            jacobian = (jacobian[..., 0, :] - inward)[..., None, :]
+        parts.append(jacobian.reshape(jacobian.shape[0], -1, jacobian.shape[-1]))
+    gradient = jnp.concatenate(parts, axis=1) * scale
+    size = jnp.maximum(jnp.linalg.norm(gradient, axis=-1), 1e-9)
+    return gradient / size[..., None], size
+
+
+def _hold(problem: OptimalControlProblem, like: list[Array]) -> Bool[Array, "intervals conditions"]:
+    """Whether each scalar condition holds at all, in the shape of a list by constraints."""
+    return _side_by_side(
+        [
+            jnp.broadcast_to(active_points(c, v.shape[1])[:, :, None], v.shape)
+            for c, v in zip(problem.constraints, like, strict=True)
+        ]
+    )
+
+
+def _side_by_side(parts: list[Array]) -> Shaped[Array, "intervals conditions"]:
+    return jnp.concatenate([part.reshape(part.shape[0], -1) for part in parts], axis=1)

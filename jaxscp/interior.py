@@ -7,6 +7,8 @@ the convex subproblems lead to is near enough). One factorisation an iteration, 
 the end is quadratic, where that of the subproblems is not.
 """
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -18,6 +20,7 @@ from jaxscp.conic import cones as second_order
 from jaxscp.constraints import Cone, SecondOrder
 from jaxscp.convexify import terminal_cost
 from jaxscp.discretise import interval_inputs
+from jaxscp.expansion import expand
 from jaxscp.inequalities import (
     Jacobians,
     Values,
@@ -27,9 +30,10 @@ from jaxscp.inequalities import (
     jacobians,
     node_hessians,
     pulled,
+    unit,
 )
-from jaxscp.intervals import Grid, Linearisation, linearise
-from jaxscp.lagrangian import FlightMultipliers, hessians
+from jaxscp.intervals import Grid, evaluate
+from jaxscp.lagrangian import FlightMultipliers
 from jaxscp.lifted import stage_sizes
 from jaxscp.problem import OptimalControlProblem, end_condition, start_condition, typical_sizes
 from jaxscp.stationarity import equalities_gradient
@@ -37,6 +41,7 @@ from jaxscp.types import Count, Flag, Scalar
 
 TO_BOUNDARY = 0.99  # share of the way to the cone's boundary that a step may go
 LONGEST = 0.3  # of a variable's typical size, that a step may change it by
+Weightings = tuple[Callable[[Array], Array], ...]
 LEAST_SHIFT, GROWTH, MOST_SHIFT = 1e-4, 8.0, 1e4  # of the diagonal where the second-order condition fails
 
 
@@ -55,16 +60,20 @@ class Iterate(eqx.Module):
     ended: Flag
     """Whether no step can be taken."""
 
-    @property
-    def point(self) -> Point:
-        """The unknowns of ``central_path``."""
-        return Point(self.z, self.y.flow, self.y.initial, self.y.final)
-
 
 class Local(eqx.Module):
-    """The problem about an iterate."""
+    """The problem about an iterate, to second order."""
 
-    linear: Linearisation
+    flow: Float[Array, "intervals states inputs"]
+    """Jacobian of every interval's end."""
+    initial: Float[Array, "initial states"]
+    """Jacobian of the conditions at the start."""
+    final: Float[Array, "final states"]
+    """Jacobian of the conditions at the end."""
+    intervals: Float[Array, "intervals inputs inputs"]
+    """Second derivatives of the Lagrangian, by intervals."""
+    nodes: Float[Array, "nodes variables variables"]
+    """And what belongs to nodes alone."""
     values: Values
     jacobians: Jacobians
     lack: Point
@@ -119,7 +128,7 @@ class Interior(eqx.Module):
     ) -> Iterate:
         """Slacks as the point has them, but far enough inside that a multiplier need not exceed the one given."""
         mu = jnp.asarray(self.first, z.dtype)
-        values = inequalities(problem, z, linearise(problem, z, grid).outputs, ROOM)
+        values = inequalities(problem, z, evaluate(problem, z, grid), ROOM)
         slack = tuple(
             _inside(k, g, mu / jnp.maximum(price, jnp.sqrt(mu)))
             for k, g, price in zip(cones(problem), values, y.values, strict=True)
@@ -146,40 +155,34 @@ class Interior(eqx.Module):
         ready = (error <= 10.0 * old.mu) & (old.mu > self.last)
         mu = jnp.where(ready, jnp.maximum(self.last, jnp.minimum(0.2 * old.mu, old.mu**1.5)), old.mu)
 
-        chain = newton_chain(problem, old.z, old.y, old.slack, here, grid, scale)
-        factor, shift = _definite(chain, old.shift)
+        weigh = weightings(problem, old.slack, old.y.values)
+        factor, shift = _definite(newton_chain(problem, here, weigh, scale), old.shift)
+        inverses = tuple(inverse(k, s) for k, s in zip(cones(problem), old.slack, strict=True))
         target = tuple(
-            mu * inverse(k, s) - _divide(k, s, y)(g - s)
-            for k, s, y, g in zip(cones(problem), old.slack, old.y.values, here.values, strict=True)
+            mu * pole - w(g - s)
+            for w, pole, s, g in zip(weigh, inverses, old.slack, here.values, strict=True)
         )
         gradient = pulled(problem, here.jacobians, target) - here.lack.z
-        move = riccati.solve(factor, _scaled(Point(gradient, *_negated(here.lack)), scale))
+        right = Point(gradient, -here.lack.flow, -here.lack.initial, -here.lack.final)
+        move = unscaled(riccati.solve(factor, scaled(right, scale)), scale)
 
-        dz = move.nodes * scale
-        dslack, dprices = [], []
-        for k, s, y, g, slope in zip(
-            cones(problem),
-            old.slack,
-            old.y.values,
-            here.values,
-            along(problem, here.jacobians, dz),
-            strict=True,
-        ):
-            ds = slope + g - s
-            dslack.append(ds)
-            dprices.append(mu * inverse(k, s) - y - _divide(k, s, y)(ds))
-        size = jnp.max(jnp.abs(move.nodes))
+        slopes = along(problem, here.jacobians, move.z)
+        dslack = tuple(slope + g - s for slope, g, s in zip(slopes, here.values, old.slack, strict=True))
+        dprices = tuple(
+            mu * pole - y - w(ds)
+            for w, pole, y, ds in zip(weigh, inverses, old.y.values, dslack, strict=True)
+        )
+        dy = FlightMultipliers(move.flow, move.initial, move.final, dprices)
+        size = jnp.max(jnp.abs(move.z / scale))
         primal = jnp.minimum(_longest(problem, old.slack, dslack), LONGEST / jnp.maximum(size, LONGEST))
         dual = _longest(problem, old.y.values, dprices)
 
-        n = problem.state_size
-        dy = FlightMultipliers(move.flow / scale[:n], move.initial, move.final, tuple(dprices))
         good = factor.definite & jnp.isfinite(size)
         advance = lambda v, dv, t: jax.tree.map(lambda a, b: jnp.where(good, a + t * b, a), v, dv)  # noqa: E731
         return Iterate(
-            z=advance(old.z, dz, primal),
+            z=advance(old.z, move.z, primal),
             y=advance(old.y, dy, dual),
-            slack=advance(old.slack, tuple(dslack), primal),
+            slack=advance(old.slack, dslack, primal),
             mu=mu,
             shift=shift,
             error=jnp.where(old.mu <= self.last, error, jnp.inf),
@@ -191,46 +194,66 @@ class Interior(eqx.Module):
 def local(
     problem: OptimalControlProblem, z: Float[Array, "nodes variables"], y: FlightMultipliers, grid: Grid
 ) -> Local:
-    """Linearise everything about a point."""
-    linear, n = linearise(problem, z, grid), problem.state_size
-    lack = Point(
-        equalities_gradient(problem, z, linear, y),
-        linear.outputs.end - z[1:, :n],
-        start_condition(problem, z[0, :n])[1],
-        end_condition(problem, z[-1, :n])[1],
+    """Everything about a point, to second order."""
+    (linear, intervals), n = expand(problem, z, y, grid), problem.state_size
+    (initial, at_start), (final, at_end) = (
+        start_condition(problem, z[0, :n]),
+        end_condition(problem, z[-1, :n]),
     )
-    values = inequalities(problem, z, linear.outputs, ROOM)
-    return Local(linear, values, jacobians(problem, z, linear), lack)
+    lack = Point(equalities_gradient(problem, z, linear, y), linear.outputs.end - z[1:, :n], at_start, at_end)
+    return Local(
+        flow=linear.jacobian.end,
+        initial=initial,
+        final=final,
+        intervals=intervals,
+        nodes=node_hessians(problem, z, y.values) + _ends_hessians(problem, z, y),
+        values=inequalities(problem, z, linear.outputs, ROOM),
+        jacobians=jacobians(problem, z, linear),
+        lack=lack,
+    )
 
 
 def newton_chain(
-    problem: OptimalControlProblem,
-    z: Float[Array, "nodes variables"],
-    y: FlightMultipliers,
-    slack: Values,
-    here: Local,
-    grid: Grid,
-    scale: Float[Array, "variables"],
+    problem: OptimalControlProblem, here: Local, weigh: Weightings, scale: Float[Array, "variables"]
 ) -> riccati.Chain:
     """Matrix of the Newton system in scaled variables: the Lagrangian's second derivatives, and W^-2 of every cone."""
     n, stage = problem.state_size, problem.variables
-    intervals, nodes = hessians(problem, z, y, grid), node_hessians(problem, z, y.values)
-    for k, s, price, jacobian, nodal in zip(
-        cones(problem), slack, y.values, here.jacobians, at_nodes(problem), strict=True
-    ):
-        weighted = jax.vmap(_divide(k, s, price), in_axes=-1, out_axes=-1)(jacobian)
-        gram = jnp.einsum("iprw,iprv->iwv", jacobian, weighted)
+    intervals, nodes = here.intervals, here.nodes
+    for weighted, jacobian, nodal in zip(weigh, here.jacobians, at_nodes(problem), strict=True):
+        gram = jnp.einsum("iprw,iprv->iwv", jacobian, jax.vmap(weighted, in_axes=-1, out_axes=-1)(jacobian))
         intervals, nodes = (intervals, nodes + gram) if nodal else (intervals + gram, nodes)
-    nodes = nodes + _ends_hessians(problem, z, y)
     intervals = intervals.at[:, :stage, :stage].add(nodes[:-1])
     sizes = stage_sizes(problem, scale)
     return riccati.Chain(
         hessian=intervals * sizes * sizes[:, None],
         last=nodes[-1] * scale * scale[:, None],
-        flow=here.linear.jacobian.end * sizes / scale[:n, None],
-        initial=start_condition(problem, z[0, :n])[0] * scale[:n],
-        final=end_condition(problem, z[-1, :n])[0] * scale[:n],
+        flow=here.flow * sizes / scale[:n, None],
+        initial=here.initial * scale[:n],
+        final=here.final * scale[:n],
     )
+
+
+def weightings(problem: OptimalControlProblem, slack: Values, prices: Values) -> Weightings:
+    """The map v -> W^-2 v of the Nesterov-Todd scaling W of every pair of a slack and its price."""
+
+    def one(cone, s, y):
+        if isinstance(cone, SecondOrder):
+            return second_order.second_order_scaling(s, y).inverse_square
+        return lambda v: v * y / s
+
+    return tuple(map(one, cones(problem), slack, prices))
+
+
+def scaled(point: Point, scale: Float[Array, "variables"]) -> riccati.Side:
+    """Right-hand side of the system in scaled variables."""
+    return riccati.Side(
+        point.z * scale, point.flow / scale[: point.flow.shape[1]], point.initial, point.final
+    )
+
+
+def unscaled(found: riccati.Side, scale: Float[Array, "variables"]) -> Point:
+    """The unknowns that the scaled ones stand for."""
+    return Point(found.nodes * scale, found.flow / scale[: found.flow.shape[1]], found.initial, found.final)
 
 
 def _ends_hessians(problem: OptimalControlProblem, z: Float[Array, "nodes variables"], y: FlightMultipliers):
@@ -284,17 +307,12 @@ def _error(
     dual = (here.lack.z - pulled(problem, here.jacobians, at.y.values)) * scale
     apart = [g - s for g, s in zip(here.values, at.slack, strict=True)]
     pairs = [
-        (second_order.jordan_product(s, y) - at.mu * _unit(s))
-        if isinstance(k, SecondOrder)
-        else s * y - at.mu
+        (second_order.jordan_product(s, y) if isinstance(k, SecondOrder) else s * y)
+        - at.mu * unit(k, s.shape[-1])
         for k, s, y in zip(cones(problem), at.slack, at.y.values, strict=True)
     ]
     parts = [dual, here.lack.flow, here.lack.initial, here.lack.final, *apart, *pairs]
     return jnp.max(jnp.stack([jnp.max(jnp.abs(part), initial=0.0) for part in parts]))
-
-
-def _unit(like: Float[Array, "*b rows"]):
-    return jnp.zeros_like(like).at[..., 0].set(1.0)
 
 
 def _inside(cone: Cone, values: Float[Array, "*b rows"], least: Float[Array, "*b rows"]):
@@ -305,30 +323,16 @@ def _inside(cone: Cone, values: Float[Array, "*b rows"], least: Float[Array, "*b
     return values.at[..., 0].set(norm + jnp.maximum(values[..., 0] - norm, least[..., 0]))
 
 
-def _divide(cone: Cone, s: Float[Array, "*b rows"], y: Float[Array, "*b rows"]):
-    """The map v -> W^-2 v of the scaling of a pair."""
-    if isinstance(cone, SecondOrder):
-        return second_order.second_order_scaling(s, y).inverse_square
-    return lambda v: v * y / s
-
-
 def _longest(problem: OptimalControlProblem, point: Values, direction) -> Scalar:
     """Step, at most one, that keeps a point in the cones."""
 
-    def one(cone, v, dv):
+    def one(cone: Cone, v: Array, dv: Array) -> Array:
         if isinstance(cone, SecondOrder):
             return jnp.min(second_order.step_to_boundary(v, dv))
-        return jnp.min(jnp.nan_to_num(-v / jnp.minimum(dv, -1e-300), nan=0.0))
+        falls = dv < 0.0
+        speed: Array = jnp.where(falls, -dv, 1.0)
+        reach: Array = jnp.where(falls, v / speed, jnp.inf)
+        return jnp.min(reach)
 
     steps = [one(k, v, dv) for k, v, dv in zip(cones(problem), point, direction, strict=True)]
     return jnp.minimum(1.0, TO_BOUNDARY * jnp.min(jnp.stack(steps)))
-
-
-def _negated(lack: Point):
-    return -lack.flow, -lack.initial, -lack.final
-
-
-def _scaled(right: Point, scale: Float[Array, "variables"]) -> riccati.Side:
-    return riccati.Side(
-        right.z * scale, right.flow / scale[: right.flow.shape[1]], right.initial, right.final
-    )

@@ -59,7 +59,7 @@ class Linearisation(eqx.Module):
 
 def interval_outputs(problem: OptimalControlProblem, w: Float[Array, "inputs"], given, grid: Grid) -> Outputs:
     """Fly one interval; ``given`` is its entry of ``interval_data``."""
-    return path_outputs(problem, *_fly(problem, w, grid), given)
+    return path_outputs(problem, *fly(problem, w, grid), given)
 
 
 def path_outputs(
@@ -119,29 +119,50 @@ def active_points(constraint: Constraint, points: int) -> Bool[Array, "intervals
     return active.at[-1, -1].set(last_point)
 
 
-def _fly(problem: OptimalControlProblem, w: Float[Array, "inputs"], grid: Grid):
-    """States and controls (with dilation) at the points, and the running cost."""
-    n, m = problem.state_size, problem.dynamics.control_size + 1
-    start, first, last = w[:n], w[n : n + m], w[n + m :]
-    width = 1.0 / (problem.nodes - 1)
-    share_step = 1.0 / (grid.points * grid.steps)
+def fly(problem: OptimalControlProblem, w: Float[Array, "inputs"], grid: Grid, push: Array | None = None):
+    """States and controls (with dilation) at the points, and the running cost.
 
-    def rate(share, extended):
-        derivative, cost = problem.rate(extended[:n], first + share * (last - first))
-        return width * jnp.append(derivative, cost)
+    Args:
+        problem: gives dynamics and running cost.
+        w: the interval's variables.
+        grid: of points and steps.
+        push: (all steps, stages, states + 1), added to the slopes of the stages; of use for its derivatives.
+    """
+    n = problem.state_size
+    rate = interval_rate(problem, w)
 
-    def forward(extended, share):
-        return rk6_step(rate, share, extended, share_step), None
-
-    def stretch(extended, shares):
-        extended, _ = jax.lax.scan(forward, extended, shares)
+    def forward(extended, at):
+        extended, _ = rk6_step(rate, at[0], extended, step_size(grid), at[1])
         return extended, extended
 
+    begins = step_size(grid) * jnp.arange(grid.points * grid.steps, dtype=w.dtype)
+    _, path = jax.lax.scan(forward, jnp.append(w[:n], 0.0), (begins, push))
+    states = jnp.concatenate([w[None, :n], path[grid.steps - 1 :: grid.steps, :n]])
     share = jnp.linspace(0.0, 1.0, grid.points + 1, dtype=w.dtype)
-    begins = share_step * jnp.arange(grid.points * grid.steps, dtype=w.dtype).reshape(grid.points, -1)
-    flown, path = jax.lax.scan(stretch, jnp.append(start, 0.0), begins)
-    states = jnp.concatenate([start[None], path[:, :n]])
-    return states, first + share[:, None] * (last - first), flown[n]
+    return states, controls_at(problem, w, share), path[-1, n]
+
+
+def step_size(grid: Grid) -> float:
+    """Of the integration, as a share of the interval."""
+    return 1.0 / (grid.points * grid.steps)
+
+
+def controls_at(problem: OptimalControlProblem, w: Float[Array, "inputs"], share: Float[Array, "*b"]):
+    """Controls, with dilation, at shares of the interval."""
+    n, m = problem.state_size, problem.dynamics.control_size + 1
+    first, last = w[n : n + m], w[n + m :]
+    return first + share[..., None] * (last - first)
+
+
+def interval_rate(problem: OptimalControlProblem, w: Float[Array, "inputs"]) -> Callable[..., Array]:
+    """Slope of the state, and of the running cost after it, by the share of the interval."""
+    n, width = problem.state_size, 1.0 / (problem.nodes - 1)
+
+    def rate(share, extended):
+        derivative, cost = problem.rate(extended[:n], controls_at(problem, w, share))
+        return width * jnp.append(derivative, cost)
+
+    return rate
 
 
 # Butcher, "On Runge-Kutta processes of high order" (1964): sixth order in seven stages.
@@ -160,21 +181,35 @@ _STAGES = np.array(
 )
 
 
-def rk6_step(rate: Callable[..., Array], share, state: Float[Array, "states"], step: float):
+STAGES = len(_SHARES)
+
+
+def rk6_step(
+    rate: Callable[..., Array], share, state: Float[Array, "states"], step: float, push: Array | None = None
+):
     """One step of a sixth-order method: ten steps of fourth order evaluate more than five of these, and err more.
 
-    The stages are a loop, so that second derivatives of the dynamics are traced and compiled once.
+    The stages are a loop, so that derivatives of the dynamics are traced and compiled once.
+
+    Returns:
+        The state after the step, and the states (stages, states) that the slopes are taken at.
     """
 
     def stage(slopes, at):
-        index, node, row = at
+        index, node, row, push = at
         moved = state + step * jnp.sum(row[:, None] * slopes, axis=0)
         slope = rate(share + step * node, moved)
-        return jax.lax.dynamic_update_index_in_dim(slopes, slope, index, 0), None
+        slope = slope if push is None else slope + push
+        return jax.lax.dynamic_update_index_in_dim(slopes, slope, index, 0), moved
 
-    table = (jnp.arange(len(_SHARES)), *(jnp.asarray(t, state.dtype) for t in (_SHARES, _STAGES)))
-    slopes, _ = jax.lax.scan(stage, jnp.zeros((len(_SHARES), state.shape[0]), state.dtype), table)
-    return state + step * jnp.sum(jnp.asarray(_WEIGHTS, state.dtype)[:, None] * slopes, axis=0)
+    table = (jnp.arange(STAGES), *(jnp.asarray(t, state.dtype) for t in (_SHARES, _STAGES)), push)
+    slopes, moved = jax.lax.scan(stage, jnp.zeros((STAGES, state.shape[0]), state.dtype), table)
+    return state + step * jnp.sum(jnp.asarray(_WEIGHTS, state.dtype)[:, None] * slopes, axis=0), moved
+
+
+def stage_shares(share, step: float) -> Float[Array, "stages"]:
+    """Where in the interval the slopes of a step are taken."""
+    return share + step * jnp.asarray(_SHARES)
 
 
 def _values(problem: OptimalControlProblem, constraint: Constraint, parameters, keep, states, controls):

@@ -1,4 +1,4 @@
-"""The Lagrangian of the nonlinear problem: its curvature, and the augmented form that judges steps.
+"""The Lagrangian of the nonlinear problem: its multipliers, and the augmented form that judges steps.
 
     L = sum_i cost_i + terminal cost + lambda_i . (F_i(w_i) - x_{i+1}) - sum y . g(w_i)
 
@@ -11,9 +11,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxscp.constraints import Cone, NonNegative, SecondOrder
-from jaxscp.discretise import interval_inputs
 from jaxscp.inequalities import inequalities
-from jaxscp.intervals import Grid, Outputs, active_points, interval_data, interval_outputs
+from jaxscp.intervals import Grid, Outputs, active_points, evaluate
 from jaxscp.problem import OptimalControlProblem, end_condition, start_condition
 from jaxscp.types import Nodes, Scalar
 
@@ -42,13 +41,16 @@ class FlightMultipliers(eqx.Module):
 
 
 def no_multipliers(
-    problem: OptimalControlProblem, z: Float[Array, "nodes variables"], outputs: Outputs
+    problem: OptimalControlProblem, z: Float[Array, "nodes variables"], grid: Grid
 ) -> FlightMultipliers:
     """Zeros."""
-    values = jax.tree.map(jnp.zeros_like, inequalities(problem, z, outputs))
-    n, zero = problem.state_size, jnp.zeros_like
-    initial, final = (condition(problem, z[0, :n])[1] for condition in (start_condition, end_condition))
-    return FlightMultipliers(zero(outputs.end), zero(initial), zero(final), values)
+
+    def like(z):
+        outputs, n = evaluate(problem, z, grid), problem.state_size
+        initial, final = start_condition(problem, z[0, :n])[1], end_condition(problem, z[-1, :n])[1]
+        return FlightMultipliers(outputs.end, initial, final, inequalities(problem, z, outputs))
+
+    return jax.tree.map(lambda v: jnp.zeros(v.shape, v.dtype), jax.eval_shape(like, z))
 
 
 class Residual(eqx.Module):
@@ -65,24 +67,6 @@ def residual(outputs: Outputs, terminal: Scalar, z: Float[Array, "nodes variable
     """Residual of a point from its intervals' outputs and its terminal cost."""
     defect = outputs.end - z[1:, : outputs.end.shape[1]]
     return Residual(jnp.sum(outputs.cost) + terminal, defect, outputs.values)
-
-
-def hessians(
-    problem: OptimalControlProblem, z: Float[Array, "nodes variables"], y: FlightMultipliers, grid: Grid
-) -> Float[Array, "intervals inputs inputs"]:
-    """Second derivatives of the Lagrangian, one block an interval: nothing couples intervals but linearly.
-
-    The curvature of a terminal cost is left out; flight time has none.
-    """
-
-    def lagrangian(w, parameters, flow, values):
-        out = interval_outputs(problem, w, parameters, grid)
-        return out.cost + jnp.dot(flow, out.end) - sum(map(jnp.vdot, values, out.values))
-
-    second = jax.jacfwd(jax.grad(lagrangian))
-    return jax.vmap(second)(
-        interval_inputs(problem, z), interval_data(problem, grid), y.flow, y.by_interval()
-    )
 
 
 def merit(

@@ -53,16 +53,6 @@ def lifted_program(
     )
 
 
-def linear_program(
-    problem: OptimalControlProblem, z: Float[Array, "nodes variables"], linear: Linearisation
-) -> StagedProgram:
-    """The subproblem without curvature, for what does not depend on that or on prices: its constraints and the
-    gradient of the cost."""
-    inputs = linear.jacobian.end.shape[-1]
-    flat = jnp.zeros((problem.nodes, inputs, inputs), z.dtype)
-    return lifted_program(problem, z, linear, flat, flat[:, 0], jnp.inf)
-
-
 def stage_sizes(problem: OptimalControlProblem, sizes: Float[Array, "variables"]) -> Float[Array, "inputs"]:
     """Sizes of a node's variables, for a stage's."""
     return jnp.concatenate([sizes, sizes[problem.state_size :]])

@@ -16,20 +16,21 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxscp import central_path
 from jaxscp.active_set import ActiveSet, active_set, near_limits, nearest_dilation_limit, slacks
-from jaxscp.central_path import Point, multipliers
+from jaxscp.central_path import Point
 from jaxscp.conic.interior_point import InteriorPoint
 from jaxscp.conic.program import ConicSolution, StagedProgram
 from jaxscp.convexify import terminal_cost
 from jaxscp.correction import HOLD, corrected
 from jaxscp.curvature import Chain, Convex, condensed, projected
 from jaxscp.discretise import interval_inputs
+from jaxscp.expansion import expand
 from jaxscp.interior import Interior
 from jaxscp.intervals import Grid, Linearisation, evaluate, linearise
 from jaxscp.lagrangian import (
     FlightMultipliers,
     Residual,
-    hessians,
     merit,
     no_multipliers,
     residual,
@@ -75,6 +76,8 @@ class NewtonState(eqx.Module):
     """The reference: the last accepted iterate."""
     linear: Linearisation
     """Its intervals."""
+    curvature: Float[Array, "intervals inputs inputs"]
+    """Second derivatives of the Lagrangian."""
     multipliers: FlightMultipliers
     """Of the subproblem that led to it."""
     past: Residual
@@ -150,7 +153,7 @@ class NewtonSCP(eqx.Module):
         found = Point(state.z, y.flow, y.initial, y.final)
         point = follow(problem, found, self.grid, state.reached)
         cost = jnp.sum(evaluate(problem, point.z, self.grid).cost) + terminal_cost(problem, point.z)
-        own = multipliers(problem, point, self.grid)
+        own = central_path.multipliers(problem, point, self.grid)
         own = jax.tree.map(lambda a, b: jnp.where(state.reached, a, b), own, y)
         return Answer(point.z, cost, own, state.reached, state.newton_steps)
 
@@ -162,13 +165,15 @@ class NewtonSCP(eqx.Module):
     def init(self, problem: OptimalControlProblem, z: Float[Array, "nodes variables"]) -> NewtonState:
         """State before the first subproblem, from an initial guess."""
         check_liftable(problem)
-        linear = linearise(problem, z, self.grid)
+        free = no_multipliers(problem, z, self.grid)
+        linear, curvature = expand(problem, z, free, self.grid)
         zeros, counts = jnp.zeros(self.max_iterations, z.dtype), jnp.zeros(self.max_iterations, int)
         now = residual(linear.outputs, terminal_cost(problem, z), z)
         return NewtonState(
             z=z,
             linear=linear,
-            multipliers=no_multipliers(problem, z, linear.outputs),
+            curvature=curvature,
+            multipliers=free,
             past=jax.tree.map(lambda v: jnp.broadcast_to(v, (MEMORY, *v.shape)), now),
             proximal=jnp.asarray(self.proximal, z.dtype),
             exact=jnp.zeros((), bool),
@@ -190,11 +195,9 @@ class NewtonSCP(eqx.Module):
         are met, the loop may end."""
         scale = stage_sizes(problem, state.scale)
         now = jax.tree.map(lambda v: v[0], state.past)
-        before = state.multipliers
-        true_hessian = hessians(problem, state.z, before, self.grid)
-        clipped = projected(_scaled(true_hessian, scale))
-        active = active_set(problem, state.linear, before, scale)
-        hessian, gradient = _model(problem, state, now, true_hessian, clipped, active, scale)
+        clipped = projected(_scaled(state.curvature, scale))
+        active = active_set(problem, state.linear, state.multipliers, scale)
+        hessian, gradient = _model(problem, state, now, clipped, active, scale)
         program = lifted_program(problem, state.z, state.linear, hessian, gradient, self.virtual_weight)
         solution = self.conic(program)
 
@@ -213,7 +216,7 @@ class NewtonSCP(eqx.Module):
 
         virtual = program.virtual_control(solution.z)[1:-1, : problem.state_size]
         slope = jnp.vdot(cost_gradient(problem, state.z, state.linear), solution.z[:, : scale.shape[0]])
-        foretold = _foretold(problem, now, slope, true_hessian, solution.z, move, virtual)
+        foretold = _foretold(problem, now, slope, state.curvature, solution.z, move, virtual)
 
         def judge(r: Residual) -> Scalar:
             sizes = state.scale[: problem.state_size]
@@ -227,11 +230,13 @@ class NewtonSCP(eqx.Module):
         better = worst - merits >= 1e-4 * jnp.abs(gain)
         chosen = jnp.argmax(better)  # the longest that is good enough; the whole step if none is
         candidate, new = jax.tree.map(lambda v: v[chosen], (candidates, residuals))
-        linear = linearise(problem, candidate, self.grid)
+        linear, curvature = expand(problem, candidate, multipliers, self.grid)
 
         ratio = jnp.where(settled, 1.0, (judge(now) - merits[0]) / jnp.maximum(jnp.abs(gain), 1e-12))
         finite = jnp.all(
-            jnp.stack([jnp.all(jnp.isfinite(v)) for v in jax.tree.leaves((new, linear, multipliers))])
+            jnp.stack(
+                [jnp.all(jnp.isfinite(v)) for v in jax.tree.leaves((new, linear, curvature, multipliers))]
+            )
         )
         good = usable(solution.status) & finite
         accept = good & (better[chosen] | settled)
@@ -267,6 +272,7 @@ class NewtonSCP(eqx.Module):
         return NewtonState(
             z=z,
             linear=choose(linear, state.linear),
+            curvature=choose(curvature, state.curvature),
             multipliers=choose(multipliers, state.multipliers),
             past=past,
             proximal=proximal,
@@ -341,7 +347,7 @@ class NewtonSCP(eqx.Module):
         def once(carry, firmness):
             z, linear = carry
             links = lifted_links(problem, z, linear, self.virtual_weight)
-            near = near_limits(problem, linear, state.multipliers, z[:, -1], scale)
+            near = near_limits(problem, linear, z, scale)
             z = corrected(problem, z, links, near, metric, scale, self.grid, self.correction_rounds, firmness)
             return (z, linearise(problem, z, self.grid)), None
 
@@ -358,7 +364,6 @@ def _model(
     problem: OptimalControlProblem,
     state: NewtonState,
     now: Residual,
-    true_hessian,
     clipped: Convex,
     active: ActiveSet,
     scale: Float[Array, "inputs"],
@@ -371,7 +376,7 @@ def _model(
     at_limit = HOLD * active.dilation[:, None] * jnp.eye(inputs, dtype=scale.dtype)[stage - 1]
     beyond = (state.z[:, -1] - nearest_dilation_limit(problem, state.z[:, -1])) / scale[stage - 1]
 
-    held = _scaled(true_hessian, scale) + HOLD * active.curvature() + jax.vmap(jnp.diag)(at_limit[:-1])
+    held = _scaled(state.curvature, scale) + HOLD * active.curvature() + jax.vmap(jnp.diag)(at_limit[:-1])
     ends, _ = end_condition(problem, state.z[-1, :n])
     ends = ends * scale[:n]
     final = jnp.diag(

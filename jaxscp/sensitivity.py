@@ -20,7 +20,7 @@ from jaxtyping import Array
 
 from jaxscp import riccati
 from jaxscp.central_path import Point, conditions, multipliers
-from jaxscp.interior import local, newton_chain
+from jaxscp.interior import local, newton_chain, scaled, unscaled, weightings
 from jaxscp.intervals import Grid
 from jaxscp.problem import OptimalControlProblem, typical_sizes
 from jaxscp.types import Flag
@@ -76,13 +76,13 @@ def _solve(problem: OptimalControlProblem, point: Point, grid: Grid, reached: Fl
     """Solve with the matrix of the conditions' derivatives."""
     y = multipliers(problem, point, grid)
     here = local(problem, point.z, y, grid)
-    scale, n = typical_sizes(point.z), problem.state_size
-    chain = newton_chain(problem, point.z, y, here.values, here, grid, scale)
+    scale = typical_sizes(point.z)
+    chain = newton_chain(problem, here, weightings(problem, here.values, y.values), scale)
     factor = riccati.factor(chain)
     defined = reached & factor.definite
-
-    scaled = riccati.Side(right.z * scale, right.flow / scale[:n], right.initial, right.final)
-    flat, unravel = ravel_pytree(scaled)  # one vector, so that all of it is linear in the tangents, or none
+    flat, unravel = ravel_pytree(
+        scaled(right, scale)
+    )  # one vector: all of it is linear in the tangents, or none
 
     def matrix(v):
         return ravel_pytree(riccati.apply(chain, unravel(v)))[0]
@@ -91,5 +91,5 @@ def _solve(problem: OptimalControlProblem, point: Point, grid: Grid, reached: Fl
         nothing = jnp.where(jnp.any(v != 0) & ~defined, jnp.nan, 0.0)
         return jnp.where(defined, ravel_pytree(riccati.solve(factor, unravel(v)))[0], nothing)
 
-    found = unravel(jax.lax.custom_linear_solve(matrix, flat, solve, transpose_solve=solve, symmetric=True))
-    return Point(found.nodes * scale, found.flow / scale[:n], found.initial, found.final)
+    found = jax.lax.custom_linear_solve(matrix, flat, solve, transpose_solve=solve, symmetric=True)
+    return unscaled(unravel(found), scale)

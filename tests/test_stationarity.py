@@ -31,7 +31,7 @@ def point():
     problem, random = short_problem(), np.random.default_rng(0)
     z = random_nodes(problem, 1)
     linear = jax.jit(lambda z: linearise(problem, z, Grid()))(z)
-    shapes = no_multipliers(problem, z, linear.outputs)
+    shapes = no_multipliers(problem, z, Grid())
     y = jax.tree.map(lambda v: jnp.asarray(random.standard_normal(v.shape)), shapes)
     return problem, z, linear, y
 
