@@ -7,7 +7,8 @@ its own size, the problem is solved again at two points on either side (by the i
 and the central differences, of fourth order, of cost, flight time and three random functions of the trajectory are
 compared with the implicit derivative. An instance and leaf are left out where the set of active constraints (price
 above slack) differs between those points, or the problem has no solution at one of them (a goal on the floor of its
-corridor, moved out of it). Then the time and memory of a gradient, relative to the plan alone; with ``--lanes``, in a batch too.
+corridor, moved out of it). Then the time and memory of a gradient, relative to the plan alone; with ``--lanes``, in a
+batch too.
 """
 
 import argparse
