@@ -1,10 +1,10 @@
 """How close to the optimum, how safe, in how many subproblems: ours against CasADi and IPOPT, side by side.
 
 The suite: both missions, an L-shaped and the three-box corridor, a moving deck, a keep-out ball and random variations
-of the missions, each with w_t = 0 and w_t = 5. IPOPT solves the identical transcription (same nodes,
-points between the nodes and margins) from four starts; ours starts from the standard guess alone. Then come the
-paper's method, on the first of those cases, and random instances, a tenth of them infeasible by construction, which
-are planned in batches and judged by the certificate.
+of the missions, each with w_t = 0 and w_t = 5. IPOPT solves the identical transcription (same nodes, points between the
+nodes and margins) from four starts; ours starts from the standard guess alone. Then come the paper's method, on the
+first of those cases, and random instances, a tenth of them infeasible by construction, which are planned in batches and
+judged by the certificate.
 
 IPOPT takes most of the time and does not depend on our solver: ``--reference FILE`` keeps what it found, and reads it
 again where the file exists and was made for these very problems and starts.

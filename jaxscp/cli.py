@@ -108,6 +108,7 @@ def _picture(path: Path | None) -> Path | None:
 
 Place = tuple[float, float, float]
 PICTURED = 0.1  # m, between the points of a cloud that pictures show
+RADIUS = 0.25  # m, to keep from points of a cloud unless said otherwise
 
 
 def _place(what: str) -> Any:
@@ -131,14 +132,15 @@ def plan(
     start: Annotated[Place | None, _place("where to start")] = None,
     goal: Annotated[Place | None, _place("where to land")] = None,
     radius: Annotated[
-        float, typer.Option(min=0.0, help="With --cloud: distance to keep from points, m.")
-    ] = 0.25,
+        float | None,
+        typer.Option(min=0.0, help=f"With --cloud: distance to keep from points, m. [default: {RADIUS}]"),
+    ] = None,
     crop: Annotated[
-        float,
+        float | None,
         typer.Option(
             min=0.0, help="With --cloud: ignore points so near to start or goal, m; their decks, say."
         ),
-    ] = 0.0,
+    ] = None,
     lower: Annotated[Place | None, _place("lower corner of where to fly")] = None,
     upper: Annotated[Place | None, _place("upper corner of where to fly")] = None,
     save: Annotated[
@@ -158,13 +160,14 @@ def plan(
     if cloud is None:
         if case is None:
             raise typer.BadParameter(f"name a case ({', '.join(CASES)}), or give --cloud, --start and --goal")
-        if any(v is not None for v in (start, goal, lower, upper)):
-            raise typer.BadParameter("--start, --goal, --lower and --upper go with --cloud")
+        if any(v is not None for v in (start, goal, radius, crop, lower, upper)):
+            raise typer.BadParameter("--start, --goal, --radius, --crop, --lower and --upper go with --cloud")
         scenario, name = CASES[case](), case
     else:
         if case is not None or start is None or goal is None:
             raise typer.BadParameter("--cloud needs --start and --goal, and no case")
-        points, result = _corridor(cloud, start, goal, radius, crop, lower, upper)
+        keep = RADIUS if radius is None else radius
+        points, result = _corridor(cloud, start, goal, keep, crop or 0.0, lower, upper)
         notes.print(result.message)
         name = cloud.name
         if result.corridor is None or not result.found:
