@@ -12,7 +12,6 @@ batch too.
 """
 
 import argparse
-import dataclasses
 import json
 import time
 from typing import Any
@@ -34,7 +33,7 @@ from jaxscp.intervals import evaluate  # noqa: E402
 from jaxscp.landing import landing_problem  # noqa: E402
 from jaxscp.problem import node_times  # noqa: E402
 from jaxscp.sensitivity import follow  # noqa: E402
-from tests.random_instances import random_instances  # noqa: E402
+from tests.random_instances import bare, random_instances  # noqa: E402
 
 NODES = 30
 STEP = 1e-5  # of a leaf's size
@@ -48,15 +47,9 @@ METHOD = jaxscp.NewtonSCP()
 PLANNER = jaxscp.Planner(nodes=NODES, method=METHOD)
 
 
-def bare(scenario: LandingScenario) -> LandingScenario:
-    """Without the point cloud, which no plan depends on, and with a price of time."""
-    scenario = dataclasses.replace(scenario, obstacles=None)
-    return eqx.tree_at(lambda s: s.weights.time, scenario, jnp.asarray(1.0))
-
-
 def instances(mission: str, count: int) -> LandingScenario:
     """A mission and random variations of it, as a batch."""
-    base = bare(MISSIONS[mission]())
+    base = bare(MISSIONS[mission](), 1.0)
     drawn = random_instances(jax.random.key(7), max(count, 1), lambda: base)
     return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b[:count]]), base, drawn)
 
@@ -153,7 +146,13 @@ def compare(mission: str, count: int, chunk: int, echo: Any) -> dict[str, Any]:
             echo(
                 f"{name:34} {which.sum():5d} {error[which].max():12.1e} {np.median(error[which]):9.1e} {strength:19.1e}"
             )
+    worst = [
+        {"instance": int(instance[i]), "leaf": names[leaf[i]], "error": float(error[i])}
+        for i in np.argsort(np.where(kept, -error, np.inf))[:10]
+    ]
+    echo("worst: " + ", ".join(f"{w['leaf']} of {w['instance']} {w['error']:.1e}" for w in worst))
     return {
+        "worst": worst,
         "max_relative_error": float(error[kept].max()),
         "share_within_1e-4": float(np.mean(error[kept] <= 1e-4)),
         "excluded_share": float(1.0 - np.mean(kept)),
@@ -168,7 +167,7 @@ def translation(echo: Any) -> float:
     """What is left of the gradients when the whole scene moves: zero, but for rounding."""
     worst = 0.0
     for mission in MISSIONS.values():
-        floats, rest = eqx.partition(bare(mission()), eqx.is_inexact_array)
+        floats, rest = eqx.partition(bare(mission(), 1.0), eqx.is_inexact_array)
         g = jax.jit(jax.grad(lambda f, rest=rest: PLANNER(eqx.combine(f, rest)).final_time))(floats)
         faces = jnp.einsum("pf,pfc->c", g.corridor.offsets, floats.corridor.normals)
         worst = max(worst, float(jnp.max(jnp.abs(g.start.position + g.goal.position + faces))))
@@ -178,7 +177,7 @@ def translation(echo: Any) -> float:
 
 def cost_of_gradients(lanes: int, repeats: int, echo: Any) -> dict[str, Any]:
     """Time and memory of a plan with its gradient, over those of the plan, less one."""
-    base = bare(scenarios.platform_to_platform())
+    base = bare(scenarios.platform_to_platform(), 1.0)
     if lanes:
         base = jax.tree.map(lambda v: v[1:], instances("platform", lanes))
     floats, rest = eqx.partition(base, eqx.is_inexact_array)

@@ -2,15 +2,13 @@
 
 The suite: both missions, an L-shaped and the three-box corridor, a moving deck, a keep-out ball and random variations
 of the missions, each with w_t = 0 and w_t = 5. IPOPT solves the identical transcription (same nodes, points between the
-nodes and margins) from four starts; ours starts from the standard guess alone. Then come the paper's method, on the
-first of those cases, and random instances, a tenth of them infeasible by construction, which are planned in batches and
-judged by the certificate.
+nodes and margins) from four starts; ours starts from the standard guess alone. Then comes the paper's method, on the
+first of those cases.
 
 IPOPT takes most of the time and does not depend on our solver: ``--reference FILE`` keeps what it found, and reads it
 again where the file exists and was made for these very problems and starts.
 
-    python -m benchmarks.optimality [--json] [--random 1000] [--lanes 50] [--instances 40] [--starts 4] [--workers 2]
-                                    [--reference FILE]
+    python -m benchmarks.optimality [--json] [--instances 40] [--starts 4] [--workers 2] [--reference FILE]
 """
 
 import argparse
@@ -38,14 +36,13 @@ from benchmarks.rivals.optimum import Extras, Optimum, Start, best  # noqa: E402
 from benchmarks.rivals.problem import LandingArrays  # noqa: E402
 from jaxscp import LandingScenario, scenarios, status_names  # noqa: E402
 from jaxscp.corridor.polytopes import Corridor, box, connect  # noqa: E402
-from tests.random_instances import random_instances  # noqa: E402
+from tests.random_instances import bare, random_instances  # noqa: E402
 
 NODES = 30
 PRICES = (0.0, 5.0)  # w_t
 PERCENT = {"share_within_0.1_percent": 1e-3, "share_within_1_percent": 1e-2}
 BALL, BALL_RADIUS = (5.2, 0.4, 2.6), 0.6  # m: across the way of both optima without it
 DECK_VELOCITY = (0.3, -0.1, 0.1)
-TOO_SHORT = 0.6  # s: at full thrust, and falling freely, no instance gets as far as its goal
 BOTH_METHODS = 8  # cases, of the suite's first, that the paper's method can state
 NO_EXTRAS = Extras()
 DISTANCES = ("corridor", "landing cone", "keep-out")
@@ -110,16 +107,10 @@ def suite(instances: int) -> list[Case]:
         batch = random_instances(jax.random.key(1), max(count, 1), mission)
         cases += [Case(f"{name} {i}", jax.tree.map(lambda v, i=i: v[i], batch)) for i in range(count)]
     return [
-        dataclasses.replace(case, name=f"{case.name}, w_t {price:g}", scenario=_bare(case.scenario, price))
+        dataclasses.replace(case, name=f"{case.name}, w_t {price:g}", scenario=bare(case.scenario, price))
         for case in cases
         for price in PRICES
     ]
-
-
-def _bare(scenario: LandingScenario, price: float) -> LandingScenario:
-    """Without the point cloud, which the solver does not read: one shape, so one compilation."""
-    scenario = dataclasses.replace(scenario, obstacles=None)
-    return eqx.tree_at(lambda s: s.weights.time, scenario, jnp.asarray(price))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -256,62 +247,11 @@ def before_and_after(cases: list[Case], plans: list[Ours], echo: Any) -> list[di
     return rows
 
 
-def survey(count: int, lanes: int, echo: Any) -> dict[str, Any]:
-    """Random instances, every tenth infeasible, planned in batches; what the planner says of them and what is true."""
-    # Without jit around it, its two compiled parts remain two, and the missions share the large one.
-    plan_all = jax.vmap(jaxscp.Planner(nodes=NODES))
-    seen: dict[str, dict[str, int]] = {"feasible": {}, "infeasible": {}}
-    refuted, not_finite, iterations, worst, residuals = 0, 0, [], 0.0, []
-    missions = (scenarios.platform_to_platform, scenarios.ascent_to_platform)
-    began = time.perf_counter()
-    for mission in missions:
-        for first in range(0, -(-count // len(missions)), lanes):
-            batch, impossible = _drawn(mission, first, lanes)
-            solution = jax.tree.map(np.asarray, plan_all(batch))
-            names = status_names(solution.status)
-            agrees = np.asarray(jax.vmap(jaxscp.acceptable)(solution.certificate)) & ~impossible
-            refuted += int(np.sum((names == "converged") & ~agrees))
-            finite = [np.isfinite(leaf).reshape(lanes, -1).all(axis=1) for leaf in jax.tree.leaves(solution)]
-            not_finite += int(np.sum(~np.all(finite, axis=0)))
-            iterations.extend(solution.iterations[names == "converged"])
-            residuals.extend(solution.certificate.optimality[names == "converged"])
-            for kind, which in (("feasible", ~impossible), ("infeasible", impossible)):
-                for name, number in zip(*np.unique(names[which], return_counts=True), strict=True):
-                    seen[kind][str(name)] = seen[kind].get(str(name), 0) + int(number)
-            between, allowed = solution.certificate.between_nodes, solution.certificate.allowed
-            worst = max(worst, float(np.max((between / allowed)[names == "converged"], initial=0.0)))
-    for kind, statuses in seen.items():
-        echo(f"{kind} random instances: " + ", ".join(f"{n} {s}" for s, n in sorted(statuses.items())))
-    return {
-        "refuted_converged": refuted,
-        "feasible_called_infeasible": seen["feasible"].get("infeasible", 0),
-        "not_finite": not_finite,
-        "random_statuses": seen,
-        "random_median_iterations": float(np.median(iterations)) if iterations else None,
-        "random_worst_violation_relative_to_allowed": worst,
-        "random_worst_optimality_residual": float(max(residuals, default=0.0)),
-        "random_median_optimality_residual": float(np.median(residuals)) if residuals else None,
-        "random_seconds": time.perf_counter() - began,
-    }
-
-
-def _drawn(mission: Any, first: int, lanes: int) -> tuple[LandingScenario, np.ndarray]:
-    """A batch of variations of a mission at both prices of time, and which of them no vehicle can fly."""
-    batch = _bare(random_instances(jax.random.key(1000 + first), lanes, mission), 0.0)
-    index = np.arange(lanes)
-    impossible = index % 10 == 9
-    batch = eqx.tree_at(lambda s: s.weights.time, batch, jnp.asarray(np.choose(index % 2, PRICES)))
-    longest = jnp.where(impossible, TOO_SHORT, batch.dilation_max)
-    return eqx.tree_at(lambda s: s.dilation_max, batch, longest), impossible
-
-
 def main() -> None:
-    """Run both parts."""
+    """Compare."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.add_argument("--instances", type=int, default=40, help="random ones in the suite; 0: no suite")
-    parser.add_argument("--random", type=int, default=1000, help="random instances afterwards; 0: none")
-    parser.add_argument("--lanes", type=int, default=50, help="of them planned at once")
+    parser.add_argument("--instances", type=int, default=40, help="random ones in the suite")
     parser.add_argument("--starts", type=int, default=4, help="of IPOPT, for each case")
     parser.add_argument("--workers", type=int, default=2, help="processes for IPOPT")
     parser.add_argument("--reference", type=Path, help="JSON file that keeps what IPOPT found")
@@ -320,16 +260,11 @@ def main() -> None:
     def echo(line: str) -> None:
         print(line, file=sys.stderr if wanted.json else sys.stdout, flush=True)
 
-    result = {}
-    if wanted.instances:
-        result |= compare(wanted.instances, wanted.starts, wanted.workers, wanted.reference, echo)
-    if wanted.random:
-        result |= survey(wanted.random, wanted.lanes, echo)
+    result = compare(wanted.instances, wanted.starts, wanted.workers, wanted.reference, echo)
     if wanted.json:
         print(json.dumps(result))
     else:
-        tables = ("cases", "paper", "random_statuses")
-        echo("\n".join(f"{k}: {v}" for k, v in result.items() if k not in tables))
+        echo("\n".join(f"{k}: {v}" for k, v in result.items() if k not in ("cases", "paper")))
 
 
 if __name__ == "__main__":

@@ -72,7 +72,8 @@ def near_limits(
     gradient, size = _gradients(problem, linear, scale)
     room = [slack(c.cone, v) for c, v in zip(problem.constraints, linear.outputs.values, strict=True)]
     on = (_side_by_side(room) < NEAR) & _hold(problem, room)
-    at_limit = jnp.abs(z[:, -1] - nearest_dilation_limit(problem, z[:, -1])) < NEAR
+    dilation = z[:, -1]
+    at_limit = jnp.minimum(dilation - problem.dilation_min, problem.dilation_max - dilation) < NEAR
     return ActiveSet(gradient, size, on.astype(size.dtype), at_limit.astype(size.dtype))
 
 

@@ -7,7 +7,7 @@ its points, so that
 
 with s_j the state and control that slope j is taken at, S_j their Jacobian in w, and kappa_j the price of the slope:
 how L changes where something is added to it. Nothing is approximate here. Forward over reverse mode through the
-integration gives the same and evaluates the dynamics three times as often.
+integration gives the same, but goes through the chain anew for every direction.
 """
 
 import jax
@@ -20,13 +20,16 @@ from jaxscp.intervals import (
     Grid,
     Linearisation,
     active_points,
+    at_points,
     controls_at,
+    extended_rate,
     fly,
     interval_data,
     interval_rate,
     path_outputs,
     rk6_step,
     stage_shares,
+    step_begins,
     step_size,
 )
 from jaxscp.lagrangian import FlightMultipliers
@@ -72,8 +75,7 @@ def _sweep(problem: OptimalControlProblem, w: Float[Array, "inputs"], grid: Grid
     n, size = problem.state_size, step_size(grid)
 
     def priced(argument, price):
-        derivative, cost = problem.rate(argument[:n], argument[n:])
-        return (jnp.dot(derivative, price[:n]) + cost * price[n]) / (problem.nodes - 1)
+        return jnp.dot(extended_rate(problem, argument[:n], argument[n:]), price)
 
     def forward(carry, at):
         extended, tangent, curvature = carry
@@ -94,14 +96,15 @@ def _sweep(problem: OptimalControlProblem, w: Float[Array, "inputs"], grid: Grid
         curvature += jnp.tensordot(moved, second @ moved, axes=((0, 1), (0, 1)))
         return (extended, tangent, curvature), (extended, tangent)
 
-    begins = size * jnp.arange(grid.points * grid.steps, dtype=w.dtype)
     at_start = jnp.eye(n + 1, w.shape[0], dtype=w.dtype).at[n].set(0.0)
     flat = jnp.zeros((w.shape[0], w.shape[0]), w.dtype)
     start = (jnp.append(w[:n], 0.0), at_start, flat)
-    (_, _, curvature), (path, tangents) = jax.lax.scan(forward, start, (begins, prices))
+    (_, _, curvature), (path, tangents) = jax.lax.scan(forward, start, (step_begins(grid, w), prices))
 
-    share = jnp.linspace(0.0, 1.0, grid.points + 1, dtype=w.dtype)
-    states = jnp.concatenate([w[None, :n], path[grid.steps - 1 :: grid.steps, :n]])
-    moved = jnp.concatenate([at_start[None, :n], tangents[grid.steps - 1 :: grid.steps, :n]])
-    controls, turned = controls_at(problem, w, share), jax.jacfwd(lambda w: controls_at(problem, w, share))(w)
-    return (states, controls, path[-1, n]), (moved, turned, tangents[-1, n]), curvature
+    def push(dpath, dw):
+        return jax.jvp(lambda path, w: at_points(problem, w, grid, path), (path, w), (dpath, dw))
+
+    values, moved = jax.vmap(push, in_axes=-1, out_axes=(None, -1))(
+        tangents, jnp.eye(w.shape[0], dtype=w.dtype)
+    )
+    return values, moved, curvature

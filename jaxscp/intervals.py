@@ -135,11 +135,27 @@ def fly(problem: OptimalControlProblem, w: Float[Array, "inputs"], grid: Grid, p
         extended, _ = rk6_step(rate, at[0], extended, step_size(grid), at[1])
         return extended, extended
 
-    begins = step_size(grid) * jnp.arange(grid.points * grid.steps, dtype=w.dtype)
-    _, path = jax.lax.scan(forward, jnp.append(w[:n], 0.0), (begins, push))
+    _, path = jax.lax.scan(forward, jnp.append(w[:n], 0.0), (step_begins(grid, w), push))
+    return at_points(problem, w, grid, path)
+
+
+def at_points(
+    problem: OptimalControlProblem,
+    w: Float[Array, "inputs"],
+    grid: Grid,
+    path: Float[Array, "steps extended"],
+):
+    """States and controls (with dilation) at the points, and the running cost, from the state after every step and its
+    running cost."""
+    n = problem.state_size
     states = jnp.concatenate([w[None, :n], path[grid.steps - 1 :: grid.steps, :n]])
     share = jnp.linspace(0.0, 1.0, grid.points + 1, dtype=w.dtype)
     return states, controls_at(problem, w, share), path[-1, n]
+
+
+def step_begins(grid: Grid, like: Array) -> Float[Array, "steps"]:
+    """Shares of the interval at which the integration's steps begin."""
+    return step_size(grid) * jnp.arange(grid.points * grid.steps, dtype=like.dtype)
 
 
 def step_size(grid: Grid) -> float:
@@ -156,13 +172,15 @@ def controls_at(problem: OptimalControlProblem, w: Float[Array, "inputs"], share
 
 def interval_rate(problem: OptimalControlProblem, w: Float[Array, "inputs"]) -> Callable[..., Array]:
     """Slope of the state, and of the running cost after it, by the share of the interval."""
-    n, width = problem.state_size, 1.0 / (problem.nodes - 1)
+    n = problem.state_size
+    return lambda share, extended: extended_rate(problem, extended[:n], controls_at(problem, w, share))
 
-    def rate(share, extended):
-        derivative, cost = problem.rate(extended[:n], controls_at(problem, w, share))
-        return width * jnp.append(derivative, cost)
 
-    return rate
+def extended_rate(
+    problem: OptimalControlProblem, state: Float[Array, "states"], control: Float[Array, "inputs"]
+) -> Float[Array, "extended"]:
+    """Slope of the state, and of the running cost after it, by the share of the interval."""
+    return jnp.append(*problem.rate(state, control)) / (problem.nodes - 1)
 
 
 # Butcher, "On Runge-Kutta processes of high order" (1964): sixth order in seven stages.
@@ -179,8 +197,6 @@ _STAGES = np.array(
         [9 / 44, -9 / 11, 63 / 44, 18 / 11, 0, -16 / 11, 0],
     ]
 )
-
-
 STAGES = len(_SHARES)
 
 

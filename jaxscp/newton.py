@@ -77,7 +77,7 @@ class NewtonState(eqx.Module):
     linear: Linearisation
     """Its intervals."""
     curvature: Float[Array, "intervals inputs inputs"]
-    """Second derivatives of the Lagrangian."""
+    """Second derivatives of the Lagrangian there: kept, because the step after a refused one asks for them again."""
     multipliers: FlightMultipliers
     """Of the subproblem that led to it."""
     past: Residual

@@ -4,7 +4,15 @@ import jax.numpy as jnp
 from diffrax import ConstantStepSize, Dopri8, ForwardMode, ODETerm, SaveAt, diffeqsolve
 from jaxtyping import Array, Float
 
-from jaxscp.intervals import Grid, Linearisation, Outputs, linearise, path_outputs
+from jaxscp.intervals import (
+    Grid,
+    Linearisation,
+    Outputs,
+    controls_at,
+    extended_rate,
+    linearise,
+    path_outputs,
+)
 from jaxscp.problem import OptimalControlProblem
 
 
@@ -16,13 +24,11 @@ def relinearise(
 
 
 def _outputs(problem: OptimalControlProblem, w: Float[Array, "inputs"], given, grid: Grid) -> Outputs:
-    n, m = problem.state_size, problem.dynamics.control_size + 1
-    start, first, last = w[:n], w[n : n + m], w[n + m :]
+    n = problem.state_size
     shares = jnp.linspace(0.0, 1.0, grid.points + 1, dtype=w.dtype)
 
-    def rate(share, extended, ends):
-        derivative, cost = problem.rate(extended[:n], ends[0] + share * (ends[1] - ends[0]))
-        return jnp.append(derivative, cost) / (problem.nodes - 1)
+    def rate(share, extended, w):
+        return extended_rate(problem, extended[:n], controls_at(problem, w, share))
 
     solution = diffeqsolve(
         ODETerm(rate),
@@ -30,8 +36,8 @@ def _outputs(problem: OptimalControlProblem, w: Float[Array, "inputs"], given, g
         0.0,
         1.0,
         1.0 / grid.points,
-        jnp.append(start, 0.0),
-        args=(first, last),
+        jnp.append(w[:n], 0.0),
+        args=w,
         saveat=SaveAt(ts=shares),
         stepsize_controller=ConstantStepSize(),
         adjoint=ForwardMode(),
@@ -39,5 +45,4 @@ def _outputs(problem: OptimalControlProblem, w: Float[Array, "inputs"], given, g
         throw=False,
     )
     path = jnp.asarray(solution.ys)
-    controls = first + shares[:, None] * (last - first)
-    return path_outputs(problem, path[:, :n], controls, path[-1, n], given)
+    return path_outputs(problem, path[:, :n], controls_at(problem, w, shares), path[-1, n], given)

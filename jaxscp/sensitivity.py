@@ -80,9 +80,8 @@ def _solve(problem: OptimalControlProblem, point: Point, grid: Grid, reached: Fl
     chain = newton_chain(problem, here, weightings(problem, here.values, y.values), scale)
     factor = riccati.factor(chain)
     defined = reached & factor.definite
-    flat, unravel = ravel_pytree(
-        scaled(right, scale)
-    )  # one vector: all of it is linear in the tangents, or none
+    # one vector: all of it is linear in the tangents, or none
+    flat, unravel = ravel_pytree(scaled(right, scale))
 
     def matrix(v):
         return ravel_pytree(riccati.apply(chain, unravel(v)))[0]

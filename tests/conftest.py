@@ -11,7 +11,7 @@ install_import_hook("jaxscp", "beartype.beartype")
 
 MOST_MAPPINGS = 20_000
 """Of a process. Compiled programs hold thousands each, and where Linux allows no more (65 530 as a rule) the compiler
-dies; one planner has about 7 000."""
+dies."""
 
 
 def pytest_runtest_teardown(item, nextitem):

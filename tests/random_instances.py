@@ -1,5 +1,7 @@
 """Random variations of the two missions, shared by tests and benchmarks."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -41,3 +43,9 @@ def random_instances(key, count: int, mission=jaxscp.scenarios.platform_to_platf
         )
 
     return jax.vmap(one)(jax.random.split(key, count))
+
+
+def bare(scenario: jaxscp.LandingScenario, price: float) -> jaxscp.LandingScenario:
+    """Without the point cloud, which the solver does not read: one shape, so one compilation. With a price of time."""
+    scenario = dataclasses.replace(scenario, obstacles=None)
+    return eqx.tree_at(lambda s: s.weights.time, scenario, jnp.asarray(price))
