@@ -8,7 +8,6 @@ densely between the nodes, in their own units.
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from diffrax import Dopri8, ODETerm, PIDController, SaveAt, diffeqsolve
 from jaxtyping import Array, Float
 
 from jaxscp.constraints import DISTANCE, AcrossIntervals, AtNodes, Constraint, NonNegative, SecondOrder
@@ -17,7 +16,7 @@ from jaxscp.trajectory import Trajectory
 from jaxscp.types import Flag, Scalar
 
 TOLERANCE = 1e-10  # of the re-integration, relative and absolute
-MAX_STEPS = 4096  # of the re-integration, an interval
+MAX_STEPS = 256  # of the re-integration, an interval; memory for so many is set aside
 OPTIMALITY = 0.3  # residual of the optimality conditions, which converged answers have near 0.01
 ANGLE = 1.75e-3  # rad (0.1 degree), that the end may miss the goal's attitude
 
@@ -121,6 +120,9 @@ def _angle(missed: Float[Array, "_"]) -> Scalar:
 
 def fly(problem: OptimalControlProblem, trajectory: Trajectory, samples: int) -> Flight:
     """Integrate the planned controls from the first state, interval after interval."""
+    # Here, since it is slow to import, and a planner that was compiled before needs it no more.
+    from diffrax import Dopri8, ODETerm, PIDController, SaveAt, diffeqsolve, is_successful
+
     intervals = trajectory.time.shape[0] - 1
     width = 1.0 / intervals
     shares = jnp.linspace(0.0, 1.0, samples)
@@ -139,12 +141,14 @@ def fly(problem: OptimalControlProblem, trajectory: Trajectory, samples: int) ->
             0.25,
             state,
             args=ends,
-            saveat=SaveAt(ts=shares),
+            # Not SaveAt(ts=...), which checks the times by a call back into Python: such a program cannot be stored.
+            saveat=SaveAt(dense=True),
             stepsize_controller=PIDController(rtol=TOLERANCE, atol=TOLERANCE),
             max_steps=MAX_STEPS,
             throw=False,
         )
-        states = jnp.asarray(solution.ys)
+        flown = jax.vmap(lambda share: jnp.asarray(solution.evaluate(share)))(shares)
+        states = jnp.where(is_successful(solution.result), flown, jnp.inf)
         return states[-1], states
 
     ends = jax.tree.map(lambda v: (v[:-1], v[1:]), (trajectory.control, trajectory.dilation))

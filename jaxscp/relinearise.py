@@ -1,7 +1,6 @@
 """The judge's own linearisation of every interval, by an eighth-order method that the solver does not use."""
 
 import jax.numpy as jnp
-from diffrax import ConstantStepSize, Dopri8, ForwardMode, ODETerm, SaveAt, diffeqsolve
 from jaxtyping import Array, Float
 
 from jaxscp.intervals import (
@@ -24,6 +23,8 @@ def relinearise(
 
 
 def _outputs(problem: OptimalControlProblem, w: Float[Array, "inputs"], given, grid: Grid) -> Outputs:
+    from diffrax import ConstantStepSize, Dopri8, ForwardMode, ODETerm, SaveAt, diffeqsolve  # slow to import
+
     n = problem.state_size
     shares = jnp.linspace(0.0, 1.0, grid.points + 1, dtype=w.dtype)
 
@@ -38,10 +39,10 @@ def _outputs(problem: OptimalControlProblem, w: Float[Array, "inputs"], given, g
         1.0 / grid.points,
         jnp.append(w[:n], 0.0),
         args=w,
-        saveat=SaveAt(ts=shares),
+        saveat=SaveAt(t0=True, steps=True),
         stepsize_controller=ConstantStepSize(),
         adjoint=ForwardMode(),
-        max_steps=grid.points + 1,
+        max_steps=grid.points,
         throw=False,
     )
     path = jnp.asarray(solution.ys)

@@ -15,7 +15,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
-from jaxopt import implicit_diff
 from jaxtyping import Array
 
 from jaxscp import riccati
@@ -47,6 +46,8 @@ def _optimum(grid: Grid, floats, rest, point: Point, reached: Flag) -> Point:
 
 @_optimum.defjvp
 def _moved(grid: Grid, primals, tangents):
+    from jaxopt import implicit_diff  # here, since few programs ask for a derivative and it is slow to import
+
     floats, rest, point, reached = primals
 
     def residual(point, floats):

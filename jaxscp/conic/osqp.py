@@ -18,8 +18,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import osqp
-import scipy.sparse as sp
+import scipy
 
 from jaxscp.conic.program import ConicSolution, Multipliers, StagedProgram
 from jaxscp.conic.quadratic import DEFAULT_FACETS, QuadraticProgram, quadratic_form
@@ -37,8 +36,14 @@ _MEANING = {
     "OSQP_NON_CVX": Status.numerical_error,
     "OSQP_UNSOLVED": Status.numerical_error,
 }
-_CODE = {name: int(getattr(osqp.SolverStatus, name)) for name in _MEANING}
-_DECISIVE = tuple(_CODE[name] for name in ("OSQP_SOLVED", "OSQP_PRIMAL_INFEASIBLE", "OSQP_DUAL_INFEASIBLE"))
+_DECISIVE = ("OSQP_SOLVED", "OSQP_PRIMAL_INFEASIBLE", "OSQP_DUAL_INFEASIBLE")
+
+
+def _code(name: str) -> int:
+    """OSQP's number for one of its names."""
+    import osqp
+
+    return int(getattr(osqp.SolverStatus, name))
 
 
 @dataclass(frozen=True)
@@ -122,14 +127,14 @@ class OSQP(eqx.Module):
         return form, self._solve(form)
 
     def _solve(self, form: QuadraticProgram) -> QuadraticSolution:
-        answer = _nothing(form, _CODE["OSQP_UNSOLVED"])
+        answer = _nothing(form, _code("OSQP_UNSOLVED"))
         if not all(np.all(np.isfinite(v)) for v in (form.P.data, form.q, form.A.data, form.u)):
             return answer
         spent = 0
         for attempt in _ATTEMPTS:
             answer = self._attempt(form, attempt, self.max_iterations - spent)
             spent += answer.iterations
-            if answer.code in _DECISIVE or spent >= self.max_iterations:
+            if answer.code in map(_code, _DECISIVE) or spent >= self.max_iterations:
                 break
         return replace(answer, iterations=spent)
 
@@ -146,18 +151,20 @@ class OSQP(eqx.Module):
                 return _nothing(form, code, spent)
             # The proximal term's gradient is what a round's answer lacks of solving the problem itself.
             lack = np.max(np.abs(curvature * (found.x - x)))
-            if attempt.curvature > 0.0 and code != _CODE["OSQP_SOLVED"]:
+            if attempt.curvature > 0.0 and code != _code("OSQP_SOLVED"):
                 lack = np.inf
             x = found.x
             solver.update(q=form.q - curvature * x)
         if lack > self.tolerance:
-            code = _CODE["OSQP_MAX_ITER_REACHED"]
+            code = _code("OSQP_MAX_ITER_REACHED")
         return QuadraticSolution(x, found.y, form.objective(x), code, spent)
 
     def _set_up(self, form: QuadraticProgram, attempt: _Attempt, curvature: np.ndarray, iterations: int):
+        import osqp  # here, since it is slow to import
+
         solver = osqp.OSQP()
         solver.setup(
-            (form.P + sp.diags(curvature)).tocsc(),
+            (form.P + scipy.sparse.diags(curvature)).tocsc(),
             form.q,
             form.A,
             form.l,
@@ -179,7 +186,7 @@ def _is_finite(found) -> bool:
 def status_of(code) -> StatusCode:
     """The status that one of OSQP's codes stands for."""
     return reduce(
-        lambda found, name: Status.where(code == _CODE[name], _MEANING[name], found),
+        lambda found, name: Status.where(code == _code(name), _MEANING[name], found),
         _MEANING,
         Status.insufficient_progress,
     )

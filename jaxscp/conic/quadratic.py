@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import scipy.sparse as sp
+import scipy
 
 from jaxscp.conic.program import StagedProgram
 from jaxscp.conic.sparse import (
@@ -76,9 +76,11 @@ class QuadraticProgram:
     @cached_property
     def A(self) -> Sparse:
         """Constraint matrix."""
-        of_z = sp.vstack([self.hard.matrix, *(-(b.mix @ b.rows.matrix) for b in self.blocks)])
-        none = sp.csr_matrix((self.hard.offset.size, 0))
-        return sp.hstack([of_z, sp.block_diag([none, *(-b.own for b in self.blocks)])], format="csc")
+        of_z = scipy.sparse.vstack([self.hard.matrix, *(-(b.mix @ b.rows.matrix) for b in self.blocks)])
+        none = scipy.sparse.csr_matrix((self.hard.offset.size, 0))
+        return scipy.sparse.hstack(
+            [of_z, scipy.sparse.block_diag([none, *(-b.own for b in self.blocks)])], format="csc"
+        )
 
     @cached_property
     def u(self) -> np.ndarray:
@@ -158,15 +160,22 @@ def quadratic_form(program: StagedProgram, facets: int = DEFAULT_FACETS) -> Quad
 
 def _half_spaces(rows: AffineRows) -> _Block:
     count = rows.offset.size
-    return _Block(rows, -sp.eye(count, format="csr"), sp.csr_matrix((count, 0)), np.zeros(0))
+    return _Block(
+        rows, -scipy.sparse.eye(count, format="csr"), scipy.sparse.csr_matrix((count, 0)), np.zeros(0)
+    )
 
 
 def _absolute(groups: list[AffineRows], prices, columns: int) -> _Block:
     """Bound the absolute value of every row, at the price of its group."""
     rows = stack_rows(groups, columns)
-    eye = sp.eye(rows.offset.size, format="csr")
+    eye = scipy.sparse.eye(rows.offset.size, format="csr")
     cost = np.repeat(np.asarray(prices, float), [group.offset.size for group in groups])
-    return _Block(rows, sp.vstack([eye, -eye], format="csr"), sp.vstack([eye, eye], format="csr"), cost)
+    return _Block(
+        rows,
+        scipy.sparse.vstack([eye, -eye], format="csr"),
+        scipy.sparse.vstack([eye, eye], format="csr"),
+        cost,
+    )
 
 
 def _cone(rows: AffineRows, facets: int) -> _Block:
@@ -177,8 +186,8 @@ def _pyramid(rows: AffineRows, facets: int) -> _Block:
     """n_i . v <= t cos(pi / facets) for unit normals n_i all around: inscribed in |v| <= t."""
     angle = 2.0 * np.pi * np.arange(facets) / facets
     head = np.full(facets, -np.cos(np.pi / facets))
-    mix = sp.csr_matrix(np.stack([head, np.cos(angle), np.sin(angle)], axis=1))
-    return _Block(rows, mix, sp.csr_matrix((facets, 0)), np.zeros(0))
+    mix = scipy.sparse.csr_matrix(np.stack([head, np.cos(angle), np.sin(angle)], axis=1))
+    return _Block(rows, mix, scipy.sparse.csr_matrix((facets, 0)), np.zeros(0))
 
 
 def _one_norm_cone(rows: AffineRows) -> _Block:
@@ -187,4 +196,4 @@ def _one_norm_cone(rows: AffineRows) -> _Block:
     eye, column = np.eye(tail), np.zeros((tail, 1))
     mix = np.block([[column, eye], [column, -eye], [-np.ones((1, 1)), np.zeros((1, tail))]])
     own = np.concatenate([eye, eye, -np.ones((1, tail))])
-    return _Block(rows, sp.csr_matrix(mix), sp.csr_matrix(own), np.zeros(tail))
+    return _Block(rows, scipy.sparse.csr_matrix(mix), scipy.sparse.csr_matrix(own), np.zeros(tail))

@@ -16,7 +16,7 @@ from typing import Any
 
 import jax
 import numpy as np
-import scipy.sparse as sp
+import scipy
 
 from jaxscp.conic.program import StagedProgram
 
@@ -92,7 +92,7 @@ def export(program: StagedProgram) -> SparseProgram:
     return SparseProgram(
         P=hessian(p, extra),
         q=np.concatenate([p.gradient.ravel(), [price for _, price in norms]]),
-        A=sp.vstack(flat, format="csc"),
+        A=scipy.sparse.vstack(flat, format="csc"),
         b=np.concatenate(right),
         zero=hard.offset.size,
         nonnegative=half_spaces.offset.size,
@@ -112,7 +112,10 @@ def as_numpy(program: StagedProgram) -> Numpy:
 
 def hessian(p: Numpy, extra: int) -> Sparse:
     """Upper triangle of the cost's Hessian, with ``extra`` variables that it leaves out."""
-    matrix = sp.triu(sp.block_diag([*p.hessian, sp.csc_matrix((extra, extra))], format="csc"), format="csc")
+    matrix = scipy.sparse.triu(
+        scipy.sparse.block_diag([*p.hessian, scipy.sparse.csc_matrix((extra, extra))], format="csc"),
+        format="csc",
+    )
     matrix.eliminate_zeros()
     return matrix
 
@@ -151,14 +154,16 @@ def norm_rows(p: Numpy) -> list[AffineRows]:
     """What the trust region measures at every node, less components that it leaves out; none without one."""
     if p.norm is None:
         return []
-    rows = _flat(sp.diags(p.norm.scale.ravel(), format="csr"), p.norm.scale * p.norm.centre)
+    rows = _flat(scipy.sparse.diags(p.norm.scale.ravel(), format="csr"), p.norm.scale * p.norm.centre)
     index = np.arange(p.norm.scale.size).reshape(p.norm.scale.shape)
     return [rows.keep(index[node, p.norm.scale[node] != 0]) for node in range(p.nodes)]
 
 
 def stack_rows(groups: list[AffineRows], columns: int) -> AffineRows:
     """All groups' rows as one stack over ``columns`` variables."""
-    matrix = sp.vstack([sp.csr_matrix((0, columns)), *(rows.matrix for rows in groups)], format="csr")
+    matrix = scipy.sparse.vstack(
+        [scipy.sparse.csr_matrix((0, columns)), *(rows.matrix for rows in groups)], format="csr"
+    )
     join = lambda parts: np.concatenate([np.zeros(0), *parts])  # noqa: E731
     origin = join(rows.origin for rows in groups).astype(int)
     return AffineRows(matrix, join(rows.offset for rows in groups), origin)
@@ -170,16 +175,16 @@ def _chain(links: Numpy, scale: np.ndarray) -> AffineRows:
     blocks: list[list[Sparse]] = [[None] * (count - 1) for _ in range(count)]
     for link in range(count):
         if link > 0:
-            blocks[link][link - 1] = sp.coo_matrix(scale[link] * links.before[link])
+            blocks[link][link - 1] = scipy.sparse.coo_matrix(scale[link] * links.before[link])
         if link < count - 1:
-            blocks[link][link] = sp.coo_matrix(scale[link] * links.after[link])
-    matrix: Sparse = sp.bmat(blocks, format="csr")
+            blocks[link][link] = scipy.sparse.coo_matrix(scale[link] * links.after[link])
+    matrix: Sparse = scipy.sparse.bmat(blocks, format="csr")
     matrix.eliminate_zeros()
     return _flat(matrix, scale * links.offset)
 
 
 def _block_diagonal(blocks: np.ndarray) -> Sparse:
-    matrix = sp.block_diag(list(blocks), format="csr")
+    matrix = scipy.sparse.block_diag(list(blocks), format="csr")
     matrix.eliminate_zeros()
     return matrix
 
@@ -195,10 +200,12 @@ def _says(rows: AffineRows, contradicts: np.ndarray) -> np.ndarray:
 
 def _widen(matrix: Sparse, extra: int) -> Sparse:
     """The same rows over ``extra`` more variables."""
-    return sp.hstack([matrix, sp.csr_matrix((matrix.shape[0], extra))], format="csr")
+    return scipy.sparse.hstack([matrix, scipy.sparse.csr_matrix((matrix.shape[0], extra))], format="csr")
 
 
 def _bounded(matrix: Sparse, bound: int, extra: int) -> Sparse:
     """Rows of the cone in which one of the extra variables bounds a norm."""
-    head = sp.csr_matrix(([-1.0], ([0], [matrix.shape[1] + bound])), shape=(1, matrix.shape[1] + extra))
-    return sp.vstack([head, _widen(matrix, extra)], format="csr")
+    head = scipy.sparse.csr_matrix(
+        ([-1.0], ([0], [matrix.shape[1] + bound])), shape=(1, matrix.shape[1] + extra)
+    )
+    return scipy.sparse.vstack([head, _widen(matrix, extra)], format="csr")

@@ -9,9 +9,8 @@ from itertools import pairwise
 
 import equinox as eqx
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float
-from scipy import ndimage
-from scipy.spatial import KDTree
 
 from jaxscp.corridor.clouds import PointCloud
 
@@ -61,7 +60,7 @@ class Space(eqx.Module):
     """Where obstacles are, and how near the vehicle may come."""
 
     points: Float[np.ndarray, "points 3"]
-    tree: KDTree | None
+    tree: "scipy.spatial.KDTree | None"
     lower: Point
     upper: Point
     radius: float
@@ -178,7 +177,7 @@ def _space(cloud, start, goal, radius, clearance, lower, upper, margin) -> Space
         (cloud.points > lower - keep - clearance) & (cloud.points < upper + keep + clearance), axis=1
     )
     points = cloud.points[near]
-    tree = KDTree(points) if points.size else None
+    tree = scipy.spatial.KDTree(points) if points.size else None
     return Space(points, tree, lower, upper, keep, keep + clearance)
 
 
@@ -258,7 +257,7 @@ def _grid_distance(space: Space, centres: list[np.ndarray], step: np.ndarray) ->
     occupied[tuple(place.T)] = True
     if not occupied.any():
         return np.full(shape, np.inf)
-    away = ndimage.distance_transform_edt(~occupied, sampling=tuple(step))
+    away = scipy.ndimage.distance_transform_edt(~occupied, sampling=tuple(step))
     away = np.asarray(away)[tuple(slice(p, p + n) for p, n in zip(pad, shape, strict=True))]
     half = 0.5 * float(np.linalg.norm(step))
     doubtful = np.argwhere((away > space.radius - half) & (away < _edge_safe(space.roomy, step) + half))
@@ -287,7 +286,7 @@ def _entrances(
 
 
 def _regions(free: np.ndarray) -> np.ndarray:
-    return np.asarray(ndimage.label(free, structure=np.ones((3, 3, 3)))[0])  # pyright: ignore[reportIndexIssue]
+    return np.asarray(scipy.ndimage.label(free, structure=np.ones((3, 3, 3)))[0])  # pyright: ignore[reportIndexIssue]
 
 
 def _connected(free: np.ndarray, ends: list[np.ndarray]) -> bool:

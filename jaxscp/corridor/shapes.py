@@ -1,10 +1,9 @@
 """What a polytope looks like from the host: its corners, its volume, the faces that matter."""
 
 import numpy as np
+import scipy
 from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
-from scipy.optimize import linprog
-from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
 from jaxscp.corridor.polytopes import Polytope
 
@@ -17,7 +16,7 @@ Vertices = Float[np.ndarray, "vertices 3"]
 
 def _intersection(
     polytope: Polytope, hint: ArrayLike | None
-) -> tuple[HalfspaceIntersection, Int[np.ndarray, "used"]] | None:
+) -> "tuple[scipy.spatial.HalfspaceIntersection, Int[np.ndarray, 'used']] | None":
     """Qhull's intersection and the rows it was given; None where the polytope has no inside."""
     normals, offsets = np.asarray(polytope.normals, float), np.asarray(polytope.offsets, float)
     used = np.flatnonzero(np.any(normals != 0, axis=1))
@@ -25,10 +24,10 @@ def _intersection(
     if inside is None:
         return None
     try:
-        return HalfspaceIntersection(
+        return scipy.spatial.HalfspaceIntersection(
             np.concatenate([normals[used], -offsets[used, None]], axis=1), inside
         ), used
-    except QhullError:
+    except scipy.spatial.QhullError:
         return None
 
 
@@ -43,7 +42,7 @@ def _inside(normals, offsets, hint: ArrayLike | None) -> Float[np.ndarray, "3"] 
         if np.min(offsets - normals @ point) > _ROOM:
             return point
     rows = np.column_stack([normals, np.linalg.norm(normals, axis=1)])
-    found = linprog([0.0, 0.0, 0.0, -1.0], rows, offsets, bounds=[(None, None)] * 4)
+    found = scipy.optimize.linprog([0.0, 0.0, 0.0, -1.0], rows, offsets, bounds=[(None, None)] * 4)
     return found.x[:3] if found.success and found.x[3] > _LEAST else None
 
 
@@ -71,7 +70,7 @@ def volume(polytope: Polytope) -> float:
         6.0
     """
     corners = vertices(polytope)
-    return float(ConvexHull(corners).volume) if len(corners) else 0.0
+    return float(scipy.spatial.ConvexHull(corners).volume) if len(corners) else 0.0
 
 
 def needed_faces(polytope: Polytope, hint: ArrayLike | None = None) -> Int[np.ndarray, "needed"]:
