@@ -3,11 +3,15 @@
 from jaxscp import airframes as airframes
 from jaxscp import corridor as corridor
 from jaxscp import scenarios as scenarios
+from jaxscp.ahead import CompiledPlanner as CompiledPlanner
+from jaxscp.archive import InvalidExport as InvalidExport
+from jaxscp.caching import use_cache as use_cache
 from jaxscp.certificate import Certificate as Certificate
 from jaxscp.certificate import acceptable as acceptable
 from jaxscp.certificate import certify as certify
 from jaxscp.convexify import NormTrustRegion as NormTrustRegion
 from jaxscp.convexify import ProximalTrustRegion as ProximalTrustRegion
+from jaxscp.loading import load as load
 from jaxscp.mission import BodyState as BodyState
 from jaxscp.mission import Components as Components
 from jaxscp.mission import Ellipsoids as Ellipsoids

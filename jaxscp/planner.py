@@ -1,6 +1,7 @@
 """The front door: a planner is a set of static choices; calling it plans one scenario."""
 
 import functools
+import os
 from typing import Any
 
 import equinox as eqx
@@ -9,6 +10,7 @@ import jax.numpy as jnp
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
+from jaxscp import ahead, archive
 from jaxscp.allocation import allocate
 from jaxscp.certificate import Certificate, acceptable, certify
 from jaxscp.initial_guess import initial_guess
@@ -80,14 +82,56 @@ class Planner(eqx.Module):
                 compilation; inside them the lane's status is ``invalid_input``).
         """
         self._check(scenario)
-        return _solve(self, *_setup(self, scenario))
+        return _solve(self, *_setup(self, ahead.without_obstacles(scenario)))
 
     def replan(self, solution: Solution, scenario: LandingScenario) -> Solution:
         """Plan a changed scenario, starting from the solution of a like one."""
         self._check(scenario)
         return _solve(
-            self, *_setup_again(self, scenario, solution.allocation), solution.z, solution.allocation
+            self,
+            *_setup_again(self, ahead.without_obstacles(scenario), solution.allocation),
+            solution.z,
+            solution.allocation,
         )
+
+    def compile(self, scenario: LandingScenario, lanes: int | None = None) -> ahead.CompiledPlanner:
+        """Compile now for scenarios like this one; what is returned traces and compiles nothing more.
+
+        Args:
+            scenario: one scenario; only its parts, shapes and dtypes matter, so that ``jax.ShapeDtypeStruct`` will do.
+            lanes: how many scenarios a call takes, stacked along a leading axis; None for one without that axis.
+
+        Raises:
+            InvalidScenario: if shapes or dtypes contradict each other.
+
+        Example:
+            >>> import jaxscp
+            >>> scenario = jaxscp.scenarios.ascent_to_platform()
+            >>> planner = jaxscp.Planner(nodes=10, method=jaxscp.SCP(max_iterations=1)).compile(scenario)
+            >>> jaxscp.status_names(planner(scenario).status)
+            'dynamics_unmet'
+        """
+        return ahead.compiled(self._plan_ahead(scenario, lanes))
+
+    def export(self, file: str | os.PathLike, scenario: LandingScenario, lanes: int | None = None) -> None:
+        """Compile as ``compile`` does, and write what comes of it to a file, for ``jaxscp.load``.
+
+        The file holds both programs twice: in portable form, for any machine of this platform, and compiled.
+
+        Args:
+            file: to write; ``planner.jaxscp``, say.
+            scenario: as in ``compile``.
+            lanes: as in ``compile``.
+
+        Raises:
+            InvalidScenario: if shapes or dtypes contradict each other.
+            OSError: if the file cannot be written.
+        """
+        archive.write(file, self._plan_ahead(scenario, lanes))
+
+    def _plan_ahead(self, scenario: LandingScenario, lanes: int | None) -> ahead.Plan:
+        parts = functools.partial(_setup, self), functools.partial(_solve, self)
+        return ahead.plan_ahead(*parts, scenario, self.nodes, lanes)
 
     def _check(self, scenario: LandingScenario) -> None:
         if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(scenario)):

@@ -13,6 +13,10 @@ from jaxscp.mission import LandingScenario
 from jaxscp.types import Flag
 
 CLEARANCE = 1e-6  # m by which start and goal may miss their polytope, for rounding
+PRECISION = (
+    "precision: jaxscp solves in float64, which JAX has switched off. Put jax.config.update('jax_enable_x64', True) at "
+    "the start of the program, or set JAX_ENABLE_X64=1."
+)
 UNIT_NORM = 1e-3  # by which a quaternion's norm may differ from one
 
 
@@ -41,7 +45,7 @@ def validate(scenario: LandingScenario, nodes: int) -> None:
         ...
         jaxscp.validation.InvalidScenario: airframe: the rotors cannot carry the weight ...
     """
-    _check_types(scenario, nodes)
+    check_types(scenario, nodes)
     concrete = jax.tree.map(np.asarray, scenario)
     broken = [rule.message for rule in _finite(concrete, np) if not rule.holds]
     if not broken:
@@ -57,13 +61,15 @@ def valid(scenario: LandingScenario) -> Flag:
     return jnp.all(jnp.stack([jnp.asarray(rule.holds) for rule in checks]))
 
 
-def _check_types(scenario: LandingScenario, nodes: int) -> None:
-    """Shapes and precision: static, so checked under jit as well."""
-    if not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
-        raise InvalidScenario(
-            "precision: jaxscp solves in float64, which JAX has switched off. Put "
-            "jax.config.update('jax_enable_x64', True) at the start of the program, or set JAX_ENABLE_X64=1."
-        )
+def double_precision() -> bool:
+    """Whether JAX computes in float64, as all of this library does."""
+    return bool(jax.config.jax_enable_x64)  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def check_types(scenario: LandingScenario, nodes: int) -> None:
+    """Raise ``InvalidScenario`` for shapes and precision: leaves may be ``jax.ShapeDtypeStruct``."""
+    if not double_precision():
+        raise InvalidScenario(PRECISION)
     if nodes < 2:
         raise InvalidScenario(f"nodes: a flight needs at least 2 nodes, not {nodes}.")
     for name, leaf in named_leaves(scenario):

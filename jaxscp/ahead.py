@@ -1,0 +1,152 @@
+"""Planners compiled before their first call: for one shape of scenario, in this process or from a file.
+
+A planner is two programs (``planner``): what depends on the scenario's own shape, and the large rest. Here both are
+functions of leaves, so that neither a call nor a file has to know the pytrees between them.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+from jax.core import Tracer
+
+from jaxscp.mission import LandingScenario
+from jaxscp.structure import Description, describe, difference
+from jaxscp.validation import check_types, named_leaves, validate
+
+Leaves = Sequence[Any]
+
+
+class Program(NamedTuple):
+    """One of a planner's programs, not compiled yet."""
+
+    function: Any
+    """Jitted; from leaves to a list of leaves."""
+    shapes: Leaves
+    """Of the leaves it takes: ``jax.ShapeDtypeStruct``."""
+
+    def compiled(self) -> jax.stages.Compiled:
+        """For this machine; takes and returns leaves."""
+        return self.function.lower(*self.shapes).compile()
+
+
+class Plan(NamedTuple):
+    """All that is to be compiled, or stored."""
+
+    nodes: int
+    lanes: int | None
+    scenario: Description
+    """One scenario, obstacles left out."""
+    solution: Any
+    """A ``Solution`` of ``jax.ShapeDtypeStruct``, with a leading axis for the lanes."""
+    setup: Program
+    solve: Program
+
+
+@dataclasses.dataclass(frozen=True)
+class CompiledPlanner:
+    """A planner for scenarios of one shape, compiled before its first call, which traces nothing.
+
+    ``Planner.compile`` and ``jaxscp.load`` make these. The answers are bitwise the planner's own. Derivatives, ``vmap``
+    and re-plans are the planner's alone.
+    """
+
+    nodes: int
+    lanes: int | None
+    """Scenarios a call; None for one without a leading axis."""
+    scenario: Description = dataclasses.field(repr=False)
+    solution: Any = dataclasses.field(repr=False)
+    """Tree of a ``Solution``."""
+    setup: Callable[..., Leaves] = dataclasses.field(repr=False)
+    solve: Callable[..., Leaves] = dataclasses.field(repr=False)
+
+    def __call__(self, scenario: LandingScenario) -> Any:
+        """The ``Solution`` of a scenario, or of ``lanes`` of them, stacked.
+
+        Raises:
+            InvalidScenario: if the scenario contradicts itself. In a batch, the lane's status is ``invalid_input``.
+            TypeError: if the scenario's parts, shapes or dtypes are not those that were compiled for; the message names
+                the field. The number of obstacles is free.
+        """
+        self._check(scenario)
+        leaves = jax.tree.leaves(without_obstacles(scenario))
+        return jax.tree.unflatten(self.solution, self.solve(*self.setup(*leaves)))
+
+    def _check(self, scenario: LandingScenario) -> None:
+        if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(scenario)):
+            raise TypeError(
+                "a compiled planner takes arrays; inside jit, vmap and grad, call the Planner itself"
+            )
+        if self.lanes is None:
+            validate(scenario, self.nodes)
+            one = scenario
+        else:
+            one = _one_lane(scenario, self.lanes)
+            check_types(one, self.nodes)
+        differs = difference(self.scenario, describe(without_obstacles(one)))
+        if differs:
+            raise TypeError(f"the planner was compiled for scenarios of another shape: {differs}")
+
+
+def plan_ahead(
+    setup: Callable[..., Any],
+    solve: Callable[..., Any],
+    scenario: LandingScenario,
+    nodes: int,
+    lanes: int | None,
+) -> Plan:
+    """Trace both programs of a planner for scenarios like this one.
+
+    Args:
+        setup: from a scenario to the arguments of ``solve``.
+        solve: to a ``Solution``.
+        scenario: one; only its shapes and dtypes matter.
+        nodes: N of the planner.
+        lanes: how many scenarios at once; None for one without a leading axis.
+    """
+    if lanes is not None:
+        setup, solve = jax.vmap(setup), jax.vmap(solve)
+    check_types(scenario, nodes)
+    bare = without_obstacles(scenario)
+    axis = () if lanes is None else (lanes,)
+    shapes = jax.tree.map(lambda v: jax.ShapeDtypeStruct(axis + v.shape, v.dtype), bare)
+    first, between = _program(setup, (shapes,))
+    second, solution = _program(solve, between)
+    return Plan(nodes, lanes, describe(bare), solution, first, second)
+
+
+def compiled(plan: Plan) -> CompiledPlanner:
+    """Compile both programs, for this machine."""
+    return with_programs(plan, plan.setup.compiled(), plan.solve.compiled())
+
+
+def with_programs(plan: Plan, setup: Callable[..., Leaves], solve: Callable[..., Leaves]) -> CompiledPlanner:
+    """The planner whose programs these are."""
+    tree = jax.tree.structure(plan.solution)
+    return CompiledPlanner(plan.nodes, plan.lanes, plan.scenario, tree, setup, solve)
+
+
+def without_obstacles(scenario: LandingScenario) -> LandingScenario:
+    """The scenario without what no solver reads, so that it is no part of what is compiled for."""
+    return dataclasses.replace(scenario, obstacles=None)
+
+
+def _program(function: Callable[..., Any], shapes: tuple) -> tuple[Program, Any]:
+    """A function as a program of leaves, and the shapes of what it returns."""
+    leaves, tree = jax.tree.flatten(shapes)
+    on_leaves = jax.jit(functools.partial(_on_leaves, function, tree))
+    return Program(on_leaves, leaves), jax.eval_shape(function, *shapes)
+
+
+def _on_leaves(function: Callable[..., Any], tree: Any, *leaves: Any) -> list:
+    return jax.tree.leaves(function(*jax.tree.unflatten(tree, leaves)))
+
+
+def _one_lane(scenarios: LandingScenario, lanes: int) -> LandingScenario:
+    """Shapes of one scenario of a stack."""
+    for name, leaf in named_leaves(scenarios):
+        if leaf.shape[:1] != (lanes,):
+            raise TypeError(f"{name}: a leading axis of {lanes} lanes expected, got shape {leaf.shape}")
+    return jax.tree.map(lambda v: jax.ShapeDtypeStruct(v.shape[1:], v.dtype), scenarios)

@@ -1,0 +1,131 @@
+"""A planner in a file: what it is for, both programs in portable form, and both as compiled for one machine.
+
+The file is a ZIP archive: ``header.json``, ``*.stablehlo`` (serialised by ``jax.export``) and ``*.executable``
+(serialised by ``jax.experimental.serialize_executable``, which pickles).
+"""
+
+import hashlib
+import json
+import os
+import pathlib
+import platform
+import zipfile
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jaxlib
+from jax.experimental import serialize_executable
+
+from jaxscp.ahead import Plan, Program
+from jaxscp.structure import describe
+
+FORMAT = 1
+PROGRAMS = ("setup", "solve")
+
+
+class InvalidExport(ValueError):
+    """A file is no planner that can be loaded here; the message says why."""
+
+
+class Archive(NamedTuple):
+    """What a file holds."""
+
+    header: dict[str, Any]
+    portable: dict[str, bytes]
+    executable: dict[str, bytes]
+
+
+def write(file: str | os.PathLike, plan: Plan) -> None:
+    """Compile and store a planner; the file appears whole or not at all."""
+    from jax import export  # slow to import
+
+    header = {
+        "format": FORMAT,
+        "nodes": plan.nodes,
+        "lanes": plan.lanes,
+        "scenario": plan.scenario,
+        "solution": describe(plan.solution),
+        "arguments": {name: len(getattr(plan, name).shapes) for name in PROGRAMS},
+        "results": {"setup": len(plan.solve.shapes), "solve": len(jax.tree.leaves(plan.solution))},
+        "platform": jax.default_backend(),
+        "machine": machine(),
+    }
+    target = pathlib.Path(file)
+    partial = target.with_name(f"{target.name}.{os.getpid()}.partial")
+    try:
+        with zipfile.ZipFile(partial, "w") as archive:
+            archive.writestr("header.json", json.dumps(header))
+            for name in PROGRAMS:
+                program: Program = getattr(plan, name)
+                portable = export.export(program.function)(*program.shapes).serialize()
+                archive.writestr(f"{name}.stablehlo", bytes(portable), zipfile.ZIP_DEFLATED)
+                executable, _, _ = serialize_executable.serialize(program.compiled())
+                archive.writestr(f"{name}.executable", executable)
+        partial.replace(target)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def read(file: str | os.PathLike) -> Archive:
+    """What ``write`` wrote; raises ``InvalidExport`` if it is something else."""
+    try:
+        with zipfile.ZipFile(file) as archive:
+            header = json.loads(archive.read("header.json"))
+            if header["format"] != FORMAT:
+                raise InvalidExport(
+                    f"{file}: its format is {header['format']}, and this version of jaxscp reads {FORMAT}; export the "
+                    "planner again."
+                )
+            portable = {name: archive.read(f"{name}.stablehlo") for name in PROGRAMS}
+            return Archive(header, portable, {name: archive.read(f"{name}.executable") for name in PROGRAMS})
+    except (zipfile.BadZipFile, KeyError, TypeError, json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise InvalidExport(f"{file}: not a planner that Planner.export wrote: {error}") from error
+
+
+def machine() -> dict[str, str]:
+    """What a compiled program runs on: that and nothing else."""
+    device = jax.devices()[0]
+    return {
+        "jax": jax.__version__,
+        "jaxlib": jaxlib.__version__,
+        "device": device.device_kind,
+        "runtime": device.client.platform_version,
+        "host": platform.machine(),
+        "instructions": hashlib.sha256(_instructions().encode()).hexdigest(),
+    }
+
+
+def _instructions() -> str:
+    """The processor's instruction sets where the system tells, else the host's name."""
+    table = pathlib.Path("/proc/cpuinfo")
+    lines = table.read_text().splitlines() if table.exists() else []
+    found = {line for line in lines if line.startswith(("flags", "Features"))}
+    return "\n".join(sorted(found)) or platform.node()
+
+
+def executables(archive: Archive) -> dict[str, Callable]:
+    """Both programs as they were compiled; no compiler runs."""
+    device = jax.devices()[0]
+    return {
+        name: serialize_executable.deserialize_and_load(
+            archive.executable[name],
+            jax.tree.structure(((0,) * archive.header["arguments"][name], {})),
+            jax.tree.structure([0] * archive.header["results"][name]),
+            execution_devices=[device],
+        )
+        for name in PROGRAMS
+    }
+
+
+def compiled_anew(archive: Archive) -> dict[str, Callable]:
+    """Both programs, compiled from the portable form for this machine."""
+    from jax import export  # slow to import
+
+    forms = {name: export.deserialize(bytearray(archive.portable[name])) for name in PROGRAMS}
+    return {
+        name: Program(
+            jax.jit(form.call), [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in form.in_avals]
+        ).compiled()
+        for name, form in forms.items()
+    }
