@@ -20,6 +20,7 @@ from rich.console import Console
 from rich.table import Table
 
 from jaxscp import scenarios
+from jaxscp.caching import use_cache
 from jaxscp.convexify import NormTrustRegion, ProximalTrustRegion
 from jaxscp.corridor import CorridorResult, PointCloud, box, build_corridor, read_cloud
 from jaxscp.mission import LandingScenario, at_rest
@@ -96,6 +97,15 @@ def _writable(path: Path | None) -> Path | None:
     return path
 
 
+def _cached(folder: Path | None) -> Path | None:
+    if folder is not None:
+        try:
+            use_cache(folder)
+        except OSError as error:
+            raise typer.BadParameter(f"cannot make {folder}: {error.strerror}") from error
+    return folder
+
+
 def _picture(path: Path | None) -> Path | None:
     if path is not None:
         from matplotlib.backend_bases import FigureCanvasBase
@@ -149,6 +159,12 @@ def plan(
     plot: Annotated[
         Path | None,
         typer.Option(callback=_picture, help="Write a picture (.png, .pdf).", metavar="FILE"),
+    ] = None,
+    cache: Annotated[
+        Path | None,
+        typer.Option(
+            callback=_cached, help="Keep compiled programs here for the next run.", metavar="FOLDER"
+        ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object instead of tables.")] = False,
 ) -> None:

@@ -125,6 +125,7 @@ class Planner(eqx.Module):
 
         Raises:
             InvalidScenario: if shapes or dtypes contradict each other.
+            NotImplementedError: if the method solves on the host (``conic.OSQP``), which no file can hold.
             OSError: if the file cannot be written.
         """
         archive.write(file, self._plan_ahead(scenario, lanes))

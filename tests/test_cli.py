@@ -229,3 +229,20 @@ def test_every_mode_plans_every_case(case, mode):
     assert facts["status"] in ("converged", "iteration_limit")
     assert facts["constraints"]["thrust"]["between_nodes"] < THRUST
     assert facts["end_error"]["position"] < 0.01
+
+
+def test_a_cache_is_used_only_where_one_is_named(monkeypatch, tmp_path):
+    folders = []
+    monkeypatch.setattr(cli, "use_cache", folders.append)
+    too_few = ("plan", "ascend", "--nodes", 3)  # ends before anything is compiled
+    assert invoke(*too_few).exit_code == 2
+    assert folders == []
+    assert invoke(*too_few, "--cache", tmp_path).exit_code == 2
+    assert folders == [tmp_path]
+
+
+def test_a_cache_that_cannot_be_made_is_a_wrong_request(tmp_path):
+    (tmp_path / "taken").write_text("")
+    result = invoke(*RUN, "--cache", tmp_path / "taken")
+    assert result.exit_code == 2
+    assert "cannot make" in result.output
