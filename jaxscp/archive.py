@@ -106,6 +106,7 @@ def _instructions() -> str:
 
 def executables(archive: Archive) -> dict[str, Callable]:
     """Both programs as they were compiled; no compiler runs."""
+    _find_lapack()
     device = jax.devices()[0]
     return {
         name: serialize_executable.deserialize_and_load(
@@ -116,6 +117,12 @@ def executables(archive: Archive) -> dict[str, Callable]:
         )
         for name in PROGRAMS
     }
+
+
+def _find_lapack() -> None:
+    """Have JAX look up the LAPACK routines that the programs call: it does so when it first lowers a program with one,
+    and in a process that only runs programs they would be null pointers."""
+    jax.jit(jax.numpy.linalg.cholesky).lower(jax.ShapeDtypeStruct((1, 1), float))
 
 
 def compiled_anew(archive: Archive) -> dict[str, Callable]:
