@@ -310,8 +310,7 @@ class NewtonSCP(eqx.Module):
             return self.finish(problem, state), None
 
         end, _ = jax.lax.scan(attempt, start, jnp.array(SLACK))
-        polished = self.polish(problem, end)
-        return jax.tree.map(lambda a, b: jnp.where(end.reached, a, b), end, polished)
+        return jax.lax.cond(end.reached, lambda s: s, lambda s: self.polish(problem, s), end)
 
     def finish(self, problem: OptimalControlProblem, state: NewtonState) -> NewtonState:
         """The optimum that the iterates are near, if Newton's method gets there from here."""
