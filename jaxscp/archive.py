@@ -18,6 +18,7 @@ import jaxlib
 from jax.experimental import serialize_executable
 
 from jaxscp.ahead import Plan, Program
+from jaxscp.caching import without_cache
 from jaxscp.structure import describe
 
 FORMAT = 1
@@ -60,7 +61,8 @@ def write(file: str | os.PathLike, plan: Plan) -> None:
                 program: Program = getattr(plan, name)
                 portable = export.export(program.function)(*program.shapes).serialize()
                 archive.writestr(f"{name}.stablehlo", bytes(portable), zipfile.ZIP_DEFLATED)
-                executable, _, _ = serialize_executable.serialize(program.compiled())
+                with without_cache():
+                    executable, _, _ = serialize_executable.serialize(program.compiled())
                 archive.writestr(f"{name}.executable", executable)
         partial.replace(target)
     finally:

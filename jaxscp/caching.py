@@ -1,6 +1,8 @@
 """JAX's own cache of compiled programs, switched on for whole planners. Nothing here runs unless it is called."""
 
+import contextlib
 import os
+from collections.abc import Iterator
 
 import jax
 from jax.experimental.compilation_cache import compilation_cache
@@ -26,3 +28,17 @@ def use_cache(folder: str | os.PathLike) -> None:
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
     compilation_cache.reset_cache()  # else a process that has compiled anything keeps going without
+
+
+@contextlib.contextmanager
+def without_cache() -> Iterator[None]:
+    """Compile anew, whatever a cache holds: a program that came out of one cannot be stored again, since on the CPU
+    it would lack some of its functions."""
+    before = jax.config.jax_enable_compilation_cache  # pyright: ignore[reportAttributeAccessIssue]
+    jax.config.update("jax_enable_compilation_cache", False)
+    compilation_cache.reset_cache()
+    try:
+        yield
+    finally:
+        jax.config.update("jax_enable_compilation_cache", before)
+        compilation_cache.reset_cache()

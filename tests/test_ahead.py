@@ -221,3 +221,21 @@ def test_a_cache_is_filled_and_only_when_asked_for(tmp_path):
     environment = {k: v for k, v in os.environ.items() if k != "JAX_COMPILATION_CACHE_DIR"}
     subprocess.run([sys.executable, "-c", program, tmp_path / "cache"], check=True, env=environment)
     assert any((tmp_path / "cache").iterdir())
+
+
+@pytest.mark.slow
+def test_an_export_is_whole_though_its_programs_are_in_a_cache(tmp_path):
+    """On the CPU, a program that came out of JAX's cache lacks functions when it is stored again."""
+    program = (
+        "import sys, jax\n"
+        "jax.config.update('jax_enable_x64', True)\n"
+        "import jaxscp\n"
+        "jaxscp.use_cache(sys.argv[1] + '/cache')\n"
+        "scenario = jaxscp.scenarios.ascent_to_platform()\n"
+        "planner = jaxscp.Planner(nodes=10, method=jaxscp.SCP(max_iterations=6), samples=20)\n"
+        "expected = planner.compile(scenario)(scenario)\n"
+        "planner.export(sys.argv[1] + '/planner', scenario)\n"
+        "found = jaxscp.load(sys.argv[1] + '/planner', compile=False)(scenario)\n"
+        "assert all((a == b).all() for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True))\n"
+    )
+    subprocess.run([sys.executable, "-c", program, str(tmp_path)], check=True)
