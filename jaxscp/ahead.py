@@ -9,6 +9,7 @@ import functools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 from jax.core import Tracer
 
@@ -130,7 +131,7 @@ def with_programs(plan: Plan, setup: Callable[..., Leaves], solve: Callable[...,
 
 def without_obstacles(scenario: LandingScenario) -> LandingScenario:
     """The scenario without what no solver reads, so that it is no part of what is compiled for."""
-    return dataclasses.replace(scenario, obstacles=None)
+    return eqx.tree_at(lambda s: s.obstacles, scenario, None, is_leaf=lambda leaf: leaf is None)
 
 
 def _program(function: Callable[..., Any], shapes: tuple) -> tuple[Program, Any]:
