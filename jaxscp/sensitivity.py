@@ -75,17 +75,17 @@ def _refuse(primals, tangents):
 
 def _solve(problem: OptimalControlProblem, point: Point, grid: Grid, reached: Flag, right: Point) -> Point:
     """Solve with the matrix of the conditions' derivatives."""
-    y = multipliers(problem, point, grid)
-    here = local(problem, point.z, y, grid)
-    scale = typical_sizes(point.z)
-    chain = newton_chain(problem, here, weightings(problem, here.values, y.values), scale)
-    factor = riccati.factor(chain)
+    build = lambda: _matrix(problem, point, grid)  # noqa: E731
+    shapes = jax.eval_shape(build)
+    # A branch, though all lanes of a batch take both: XLA sets its memory aside only while it runs.
+    factor = jax.lax.cond(reached, build, lambda: jax.tree.map(lambda v: jnp.zeros(v.shape, v.dtype), shapes))
     defined = reached & factor.definite
+    scale = typical_sizes(point.z)
     # one vector: all of it is linear in the tangents, or none
     flat, unravel = ravel_pytree(scaled(right, scale))
 
     def matrix(v):
-        return ravel_pytree(riccati.apply(chain, unravel(v)))[0]
+        return ravel_pytree(riccati.apply(factor.chain, unravel(v)))[0]
 
     def solve(_, v):
         nothing = jnp.where(jnp.any(v != 0) & ~defined, jnp.nan, 0.0)
@@ -93,3 +93,12 @@ def _solve(problem: OptimalControlProblem, point: Point, grid: Grid, reached: Fl
 
     found = jax.lax.custom_linear_solve(matrix, flat, solve, transpose_solve=solve, symmetric=True)
     return unscaled(unravel(found), scale)
+
+
+@functools.partial(jax.jit, static_argnums=2)
+def _matrix(problem: OptimalControlProblem, point: Point, grid: Grid) -> riccati.Factor:
+    """The matrix, factored."""
+    y = multipliers(problem, point, grid)
+    here = local(problem, point.z, y, grid)
+    weigh = weightings(problem, here.values, y.values)
+    return riccati.factor(newton_chain(problem, here, weigh, typical_sizes(point.z)))
