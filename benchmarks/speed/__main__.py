@@ -1,0 +1,83 @@
+"""One benchmark of speed: where the time goes, against rivals, by size, from a cold start, and in batches.
+
+    python -m benchmarks.speed [--json] [--check] [--only PART ...] [--gpu] [--nodes 30] [--repeats 7]
+                               [--lanes 4096] [--total 65536]
+
+Parts: ``profile``, ``rivals`` (extra ``benchmarks``), ``scaling``, ``starts``, ``batches``. All but the last by
+default; ``--gpu`` is the last alone. ``--check`` compares the ratios with benchmarks/baseline.json and ends with 1
+where one has become worse by more than a factor of 1.5.
+"""
+
+import argparse
+import json
+import platform
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import jax
+
+jax.config.update("jax_enable_x64", True)
+
+PARTS = ("profile", "rivals", "scaling", "starts")
+BATCHES = "batches"
+
+
+def measure(part: str, wanted: argparse.Namespace, echo: Callable[[str], None]) -> dict[str, Any]:
+    """Run one part. Only its own modules are imported: not every machine has the rivals."""
+    match part:
+        case "profile":
+            from benchmarks.speed import profile
+
+            return {"profile": profile.run(echo, wanted.nodes)}
+        case "rivals":
+            from benchmarks.speed import rivals
+
+            return rivals.run(echo, wanted.nodes, wanted.repeats)
+        case "scaling":
+            from benchmarks.speed import scaling
+
+            return scaling.run(echo)
+        case "starts":
+            from benchmarks.speed import starts
+
+            return starts.run(echo, wanted.nodes)
+        case _:
+            from benchmarks.speed import batches
+
+            return batches.run(echo, wanted.nodes, wanted.lanes, wanted.total)
+
+
+def main() -> int:
+    """Measure, print, and compare if asked to."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--json", action="store_true", help="print one JSON object, the tables on stderr")
+    parser.add_argument("--check", action="store_true", help="compare ratios with benchmarks/baseline.json")
+    parser.add_argument("--only", nargs="+", choices=(*PARTS, BATCHES), help="these parts alone")
+    parser.add_argument("--gpu", action="store_true", help="the part for accelerators: batches")
+    parser.add_argument("--nodes", type=int, default=30)
+    parser.add_argument("--repeats", type=int, default=7, help="of a plan that is compared with a rival's")
+    parser.add_argument("--lanes", type=int, default=4096, help="plans at once")
+    parser.add_argument(
+        "--total", type=int, default=65536, help="plans in one call, by chunks of so many lanes"
+    )
+    wanted = parser.parse_args()
+
+    def echo(line: str) -> None:
+        print(line, file=sys.stderr if wanted.json else sys.stdout, flush=True)
+
+    found: dict[str, Any] = {"machine": platform.machine(), "device": jax.devices()[0].device_kind}
+    for part in wanted.only or ([BATCHES] if wanted.gpu else PARTS):
+        found |= measure(part, wanted, echo)
+    worse = []
+    if wanted.check:
+        from benchmarks.speed import check
+
+        worse = check.regressions(found, echo)
+    if wanted.json:
+        print(json.dumps(found))
+    return 1 if worse else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

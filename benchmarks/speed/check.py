@@ -1,0 +1,30 @@
+"""Ratios of a run against those that are kept: never times, which are another machine's."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+BASELINE = Path(__file__).parents[1] / "baseline.json"
+HIGHER_IS_BETTER = {
+    "paper_ratio": True,
+    "optimum_ratio": True,
+    "ipopt_ratio": True,
+    "scaling_240_over_30": False,
+}
+TOLERANCE = 1.5  # factor: both sides of a ratio are measured on machines that others use too
+
+
+def regressions(found: dict[str, Any], echo: Callable[[str], None]) -> list[str]:
+    """Names of the ratios that have become worse by more than the tolerance; what was not measured is passed over."""
+    kept = json.loads(BASELINE.read_text())["ratios"]
+    worse = []
+    for name, higher in HIGHER_IS_BETTER.items():
+        if name not in found:
+            echo(f"{name:22} not measured")
+            continue
+        now, before = found[name] or 0.0, kept[name]
+        bad = now < before / TOLERANCE if higher else now > before * TOLERANCE
+        echo(f"{name:22}{now:9.2f}, kept {before:.2f}: {'worse' if bad else 'fine'}")
+        worse += [name] if bad else []
+    return worse

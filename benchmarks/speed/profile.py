@@ -1,0 +1,255 @@
+"""Where the time of a solve goes: every piece alone, how often it runs, and its arithmetic beside the machine's.
+
+Each piece is timed inside a compiled loop on the data of the first subproblem, and counted as often as the solve runs
+it. What a solve takes beyond its pieces is in the last row: the loops themselves, tests of convergence, choices.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from benchmarks.speed.arithmetic import flops, flops_of_loop
+from benchmarks.speed.timing import Ceiling, Loop, ceiling, least_seconds
+from jaxscp import SCP, LandingScenario, NewtonSCP, Planner, riccati
+from jaxscp.active_set import active_set, slacks
+from jaxscp.central_path import Point
+from jaxscp.certificate import certify
+from jaxscp.conic import cones, kkt
+from jaxscp.conic.equilibrate import equilibrate
+from jaxscp.convexify import convexify, terminal_cost
+from jaxscp.correction import corrected
+from jaxscp.curvature import Chain, condensed, projected
+from jaxscp.discretise import discretise
+from jaxscp.expansion import expand
+from jaxscp.interior import local, newton_chain, scaled, weightings
+from jaxscp.intervals import evaluate
+from jaxscp.lagrangian import no_multipliers, residual
+from jaxscp.lifted import lifted_links, lifted_program, stage_sizes
+from jaxscp.newton import STEP_LENGTHS
+from jaxscp.planner import Solution, trajectory_of
+from jaxscp.problem import typical_sizes
+from jaxscp.scenarios import platform_to_platform
+from jaxscp.validation import validate
+
+Echo = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A part of a solve."""
+
+    name: str
+    times: float
+    """How often a solve runs it."""
+    seconds: float
+    """Of one run."""
+    flops: float
+    """Of one run; NaN where it was not counted."""
+    inside: bool = False
+    """Whether it is part of the piece above that is not."""
+
+
+def profile(planner: Planner, scenario: LandingScenario, machine: Ceiling, echo: Echo) -> dict[str, Any]:
+    """Time a planner's pieces on a scenario and print them."""
+    solution = planner(scenario)
+    whole = least_seconds(lambda: planner(scenario))
+    echo(
+        f"{_describe(planner)}, {planner.nodes} nodes: {1e3 * whole:.1f} ms a plan, "
+        f"{int(solution.iterations)} subproblems, {_newton_steps(solution)} conic Newton steps, "
+        f"{int(solution.newton_steps)} interior steps"
+    )
+    echo(f"{'':38}{'times':>6}{'us each':>10}{'ms':>9}{'share':>7}{'kFLOP each':>12}{'of peak':>9}")
+    pieces = Pieces(whole, machine, echo)
+    _all_pieces(pieces, planner, scenario, solution)
+    echo(_row(Piece("the rest", 1, pieces.rest, np.nan), whole, machine))
+    return {
+        "seconds": whole,
+        "subproblems": int(solution.iterations),
+        "conic_newton_steps": _newton_steps(solution),
+        "interior_steps": int(solution.newton_steps),
+        "pieces": [dataclasses.asdict(p) for p in pieces.found],
+        "rest_seconds": pieces.rest,
+    }
+
+
+def _describe(planner: Planner) -> str:
+    return "paper's mode" if isinstance(planner.method, SCP) else "default mode"
+
+
+def _newton_steps(solution: Solution) -> int:
+    return int(np.sum(solution.history.conic_iterations))
+
+
+def _row(p: Piece, whole: float, machine: Ceiling) -> str:
+    name = f"    {p.name}" if p.inside else p.name
+    total = p.times * p.seconds
+    line = f"{name:38}{p.times:6.0f}{1e6 * p.seconds:10.1f}{1e3 * total:9.2f}{total / whole:7.0%}"
+    if np.isnan(p.flops):
+        return line
+    return f"{line}{p.flops / 1e3:12.0f}{p.flops / p.seconds / machine.flops:9.1%}"
+
+
+class Pieces:
+    """Times pieces as they are asked for, keeps them, and passes on what they return."""
+
+    def __init__(self, whole: float, machine: Ceiling, echo: Echo) -> None:
+        self.found: list[Piece] = []
+        self._whole, self._machine, self._echo = whole, machine, echo
+
+    def add(self, piece: Piece) -> None:
+        """Keep and print."""
+        self.found.append(piece)
+        self._echo(_row(piece, self._whole, self._machine))
+
+    def time(self, name: str, times: float, function: Callable, *args: Any, inside=False, count=True) -> Any:
+        """Time a piece on these arguments; returns what it makes of them."""
+        loop = Loop(function, *args)
+        arithmetic = flops(function, *args) if count else np.nan
+        self.add(Piece(name, times, loop.seconds(*args), arithmetic, inside))
+        return loop.result(*args)
+
+    @property
+    def rest(self) -> float:
+        """Seconds of the whole that no piece accounts for."""
+        return self._whole - sum(p.times * p.seconds for p in self.found if not p.inside)
+
+
+def _all_pieces(pieces: Pieces, planner: Planner, scenario: LandingScenario, solution: Solution) -> None:
+    request = least_seconds(lambda: validate(scenario, planner.nodes))
+    pieces.add(Piece("check of the request, in NumPy", 1, request, np.nan))
+    problem, z, _ = pieces.time("guess and problem", 1, planner.setup, scenario, count=False)
+    if isinstance(planner.method, SCP):
+        _paper_pieces(pieces, planner.method, problem, z, solution)
+    else:
+        _default_pieces(pieces, planner.method, problem, z, solution)
+    flown = trajectory_of(problem, solution.z)
+    pieces.time("certificate", 1, lambda p, t: certify(p, t, planner.samples), problem, flown, count=False)
+
+
+def _paper_pieces(pieces: Pieces, method: SCP, problem: Any, z: Any, solution: Solution) -> None:
+    count = int(solution.iterations)
+    flow = pieces.time("discretise", count + 1, lambda p, z: discretise(p, z, method.substeps), problem, z)
+
+    def assemble(problem, z, flow):
+        return convexify(problem, z, flow, method.trust_region, method.virtual_weight)[0]
+
+    program = pieces.time("assemble", count, assemble, problem, z, flow)
+    _conic_pieces(pieces, method.conic, program, count, _newton_steps(solution))
+
+
+def _conic_pieces(pieces: Pieces, conic: Any, program: Any, count: int, steps: int) -> None:
+    """Equilibration and starting point, and Newton steps with what they consist of."""
+    scaled_program, _ = pieces.time(
+        "conic: equilibrate", count, lambda p: equilibrate(p, conic.equilibration), program
+    )
+
+    start, whole = Loop(replace(conic, max_iterations=0), program), Loop(conic, program)
+    started, taken = start.seconds(program), int(whole.result(program).iterations)
+    step = (whole.seconds(program) - started) / taken
+    pieces.add(Piece("conic: start and conclude", count, started - pieces.found[-1].seconds, np.nan))
+    pieces.add(Piece("conic: Newton step", steps, step, flops_of_loop(conic, program)))
+
+    unit = cones.identity(kkt.right_side(scaled_program))
+    scaling = cones.scaling(unit, unit)
+
+    def factorise(program, scaling):
+        return kkt.factorise(program, scaling, conic.regularisation)
+
+    def solve(program, scaling, factor, x, y):
+        return kkt.solve(program, scaling, factor, x, y, conic.refinements)
+
+    def solve_both(program, scaling, factor, x, y):
+        return jax.vmap(lambda x, y: solve(program, scaling, factor, x, y))(x, y)
+
+    inside = functools.partial(pieces.time, inside=True)
+    factor = inside("factor", steps, factorise, scaled_program, scaling)
+    right = (kkt.linear_cost(scaled_program), kkt.right_side(scaled_program))
+    two = jax.tree.map(lambda v: jnp.stack([v, 2.0 * v]), right)
+    inside("back-solve of predictor, two sides", steps, solve_both, scaled_program, scaling, factor, *two)
+    inside("back-solve of corrector", steps, solve, scaled_program, scaling, factor, *right)
+    inside("step to the boundary", 2 * steps, cones.longest_step, unit, right[1])
+
+
+def _default_pieces(pieces: Pieces, method: NewtonSCP, problem: Any, z: Any, solution: Solution) -> None:
+    count, grid = int(solution.iterations), method.grid
+    y = no_multipliers(problem, z, grid)
+    linear, curvature = pieces.time(
+        "expand to second order", count + 1, lambda p, z, y: expand(p, z, y, grid), problem, z, y
+    )
+    scale = stage_sizes(problem, typical_sizes(z))
+    hessian, n = curvature * scale * scale[:, None], problem.state_size
+    convex = pieces.time("curvature: clip", count, projected, hessian)
+    defect = residual(linear.outputs, terminal_cost(problem, z), z).defect
+    chain = Chain(linear.jacobian.end * scale / scale[:n, None], defect / scale[:n])
+    pieces.time("curvature: condense", count, condensed, hessian, chain, jnp.eye(problem.variables))
+
+    def assemble(problem, z, linear, hessian):
+        return lifted_program(
+            problem, z, linear, hessian, jnp.zeros(hessian.shape[:2]), method.virtual_weight
+        )
+
+    blocks = jnp.pad(convex.hessian, ((0, 1), (0, 0), (0, 0))) + method.proximal * jnp.eye(scale.shape[0])
+    blocks = blocks / scale / scale[:, None]
+    program = pieces.time("assemble", count, assemble, problem, z, linear, blocks)
+    _conic_pieces(pieces, method.conic, program, count, _newton_steps(solution))
+    _line_search(pieces, method, problem, z, linear, y, convex.hessian, count)
+    _interior_pieces(pieces, method, problem, solution)
+
+
+def _line_search(pieces: Pieces, method: NewtonSCP, problem, z, linear, y, metric, count: int) -> None:
+    scale, grid = stage_sizes(problem, typical_sizes(z)), method.grid
+    active = active_set(problem, linear, y, scale)
+    links = lifted_links(problem, z, linear, method.virtual_weight)
+    room = slacks(problem, linear.outputs)
+    candidates = jnp.stack([z for _ in STEP_LENGTHS])
+
+    def search(problem, candidates, links, active, metric, room):
+        def attempt(z):
+            z = corrected(problem, z, links, active, metric, scale, grid, method.correction_rounds, rest=room)
+            return z, residual(evaluate(problem, z, grid), terminal_cost(problem, z), z)
+
+        return jax.vmap(attempt)(candidates)
+
+    args = (problem, candidates, links, active, metric, room)
+    pieces.time(f"line search: {len(STEP_LENGTHS)} corrected steps", count, search, *args)
+    # each round of a correction, its test before and after, and the merit
+    flights = len(STEP_LENGTHS) * (method.correction_rounds + 3) * count
+    pieces.time("a flight of the plan", flights, lambda p, z: evaluate(p, z, grid), problem, z, inside=True)
+
+
+def _interior_pieces(pieces: Pieces, method: NewtonSCP, problem: Any, solution: Solution) -> None:
+    interior, grid, z, y = method.interior, method.grid, solution.z, solution.multipliers
+    steps, sizes = int(solution.newton_steps), typical_sizes(solution.z)
+    start = jax.jit(lambda p, z, y: interior.init(p, z, y, grid))(problem, z, y)
+    pieces.time("interior: Newton step", steps, lambda p, s: interior.step(p, s, grid, sizes), problem, start)
+    inside = functools.partial(pieces.time, inside=True)
+    here = inside("the problem to second order", steps, lambda p, z, y: local(p, z, y, grid), problem, z, y)
+
+    def matrix(problem, here, start):
+        return newton_chain(problem, here, weightings(problem, start.slack, start.y.values), sizes)
+
+    chain = inside("matrix", steps, matrix, problem, here, start)
+    factor = inside("factor", steps, riccati.factor, chain)
+    right = scaled(Point(here.lack.z, here.lack.flow, here.lack.initial, here.lack.final), sizes)
+    inside("back-solve", steps, riccati.solve, factor, right)
+    ended = jax.jit(method.init)(problem, z)
+    pieces.time("polish", 1, method.polish, problem, ended)
+    ended = eqx.tree_at(lambda s: s.multipliers, ended, y)
+    pieces.time("residual of optimality", 1, method.optimality, problem, ended)
+
+
+def run(echo: Echo, nodes: int = 30) -> dict[str, Any]:
+    """Both modes on Case 1."""
+    scenario, machine = platform_to_platform(), ceiling()
+    echo(machine.report())
+    found: dict[str, Any] = {"peak_flops": machine.flops, "bandwidth": machine.bandwidth}
+    for name, method in (("paper", SCP()), ("default", NewtonSCP())):
+        found[name] = profile(Planner(nodes=nodes, method=method), scenario, machine, echo)
+    return found
