@@ -30,7 +30,7 @@ from jaxscp.discretise import discretise
 from jaxscp.expansion import expand
 from jaxscp.interior import local, newton_chain, scaled, weightings
 from jaxscp.intervals import evaluate
-from jaxscp.lagrangian import no_multipliers, residual
+from jaxscp.lagrangian import residual
 from jaxscp.lifted import lifted_links, lifted_program, stage_sizes
 from jaxscp.newton import STEP_LENGTHS
 from jaxscp.planner import Solution, trajectory_of
@@ -179,7 +179,7 @@ def _conic_pieces(pieces: Pieces, conic: Any, program: Any, count: int, steps: i
 
 def _default_pieces(pieces: Pieces, method: NewtonSCP, problem: Any, z: Any, solution: Solution) -> None:
     count, grid = int(solution.iterations), method.grid
-    y = no_multipliers(problem, z, grid)
+    y = solution.multipliers  # with those of the guess, which are zero, curvature would be easy to clip
     linear, curvature = pieces.time(
         "expand to second order", count + 1, lambda p, z, y: expand(p, z, y, grid), problem, z, y
     )
@@ -219,9 +219,10 @@ def _line_search(pieces: Pieces, method: NewtonSCP, problem, z, linear, y, metri
 
     args = (problem, candidates, links, active, metric, room)
     pieces.time(f"line search: {len(STEP_LENGTHS)} corrected steps", count, search, *args)
-    # each round of a correction, its test before and after, and the merit
-    flights = len(STEP_LENGTHS) * (method.correction_rounds + 3) * count
-    pieces.time("a flight of the plan", flights, lambda p, z: evaluate(p, z, grid), problem, z, inside=True)
+    # each round of a correction, the test of whether it helped, and the merit
+    flights = (method.correction_rounds + 3) * count
+    fly = jax.vmap(lambda p, z: evaluate(p, z, grid), in_axes=(None, 0))
+    pieces.time("flights of the candidates", flights, fly, problem, candidates, inside=True)
 
 
 def _interior_pieces(pieces: Pieces, method: NewtonSCP, problem: Any, solution: Solution) -> None:
