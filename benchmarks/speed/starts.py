@@ -1,4 +1,5 @@
-"""From ``python -c`` to the first answer, in fresh processes: with an empty compilation cache, and with a full one.
+"""From ``python -c`` to the first plan, in fresh processes: with an empty compilation cache, with a full one, and from
+an exported planner.
 
 ``cold`` fills the cache that ``cached`` finds. The cache is jax's own, switched on by its environment variables.
 """
@@ -13,37 +14,49 @@ from typing import Any
 
 METHODS = {"paper": "jaxscp.SCP()", "default": "jaxscp.NewtonSCP()"}
 FIRST = "default"  # whose times are the benchmark's
-PLAN = """
+CACHE = "JAX_COMPILATION_CACHE_DIR"
+IMPORT = """
 import jax
 jax.config.update("jax_enable_x64", True)
 import jaxscp
-solution = jaxscp.Planner(nodes={nodes}, method={method})(jaxscp.scenarios.platform_to_platform())
-assert jaxscp.status_names(solution.status) == "converged"
+scenario = jaxscp.scenarios.platform_to_platform()
 """
+PLANNER = "planner = jaxscp.Planner(nodes={nodes}, method={method})\n"
+LOAD = "planner = jaxscp.load({file!r})\n"
+EXPORT = "planner.export({file!r}, scenario)\n"
+PLAN = "assert jaxscp.status_names(planner(scenario).status) == 'converged'\n"
+KINDS = ("cold", "cached", "export")
 
 
 def run(echo: Callable[[str], None], nodes: int) -> dict[str, Any]:
     """Both modes on Case 1."""
-    echo(f"{'start, s':12}{'cold':>8}{'cached':>8}")
+    echo(f"{'start, s':12}" + "".join(f"{kind:>8}" for kind in KINDS))
     rows = {}
     for mode, method in METHODS.items():
-        with tempfile.TemporaryDirectory() as cache:
-            code = PLAN.format(nodes=nodes, method=method)
-            rows[mode] = {"cold_s": seconds(code, cache), "cached_s": seconds(code, cache)}
-        echo(f"{mode:12}{rows[mode]['cold_s']:8.1f}{rows[mode]['cached_s']:8.1f}")
+        rows[mode] = starts(method, nodes)
+        echo(f"{mode:12}" + "".join(f"{rows[mode][kind]:8.1f}" for kind in KINDS))
     return {
         "starts_mode": FIRST,
-        "cold_start_s": rows[FIRST]["cold_s"],
-        "cached_start_s": rows[FIRST]["cached_s"],
         "starts": rows,
+        **{f"{kind}_start_s": rows[FIRST][kind] for kind in KINDS},
     }
 
 
-def seconds(code: str, cache: str) -> float:
-    """Of a process that runs the code with a compilation cache."""
-    variables = {"JAX_COMPILATION_CACHE_DIR": cache, "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
+def starts(method: str, nodes: int) -> dict[str, float]:
+    """Seconds by kind."""
+    planner = IMPORT + PLANNER.format(nodes=nodes, method=method)
+    with tempfile.TemporaryDirectory() as folder:
+        file = os.path.join(folder, "planner.jaxscp")
+        cold, cached = (seconds(planner + PLAN, folder) for _ in range(2))
+        seconds(planner + EXPORT.format(file=file), folder)
+        return {"cold": cold, "cached": cached, "export": seconds(IMPORT + LOAD.format(file=file) + PLAN)}
+
+
+def seconds(code: str, cache: str | None = None) -> float:
+    """Of a process that runs the code, with a folder for compiled programs or without."""
+    variables = {k: v for k, v in os.environ.items() if k != CACHE}
+    if cache is not None:
+        variables |= {CACHE: cache, "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
     began = time.perf_counter()
-    subprocess.run(
-        [sys.executable, "-c", code], check=True, env=os.environ | variables, stderr=subprocess.PIPE
-    )
+    subprocess.run([sys.executable, "-c", code], check=True, env=variables, stderr=subprocess.PIPE)
     return time.perf_counter() - began
