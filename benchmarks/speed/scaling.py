@@ -1,57 +1,78 @@
 """How an iteration of the paper's mode grows with the nodes and with the faces of a polytope."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from benchmarks.speed.timing import least_seconds
+from benchmarks.speed.timing import least_in_turns
 from jaxscp import SCP, LandingScenario, Planner
+from jaxscp.problem import OptimalControlProblem
 from jaxscp.scenarios import platform_to_platform
 
 NODES, FACES = (15, 30, 60, 120, 240), (6, 12, 18, 24)
+STANDARD, TURNS = 30, 12  # nodes; times that each size is solved
 APART = 0.05  # m between the parallel faces that more faces stand for
+
+
+@dataclass(frozen=True)
+class Size:
+    """Case 1 compiled at a size: the iterations alone, guess and certificate left out."""
+
+    name: str
+    compiled: Any
+    problem: OptimalControlProblem
+    guess: Any
+
+    @classmethod
+    def of(cls, name: str, scenario: LandingScenario, nodes: int) -> "Size":
+        """Compile."""
+        planner = Planner(nodes=nodes, method=SCP())
+        problem, z, _ = jax.jit(planner.setup)(scenario)
+        return cls(name, jax.jit(planner.method.run).lower(problem, z).compile(), problem, z)
+
+    def solve(self) -> Any:
+        """Iterate from the guess to the stop."""
+        return self.compiled(self.problem, self.guess)
+
+    def row(self, seconds: float) -> dict[str, Any]:
+        """What a solve in these seconds says."""
+        state = self.solve()
+        iterations, steps = int(state.iterations), int(jnp.sum(state.history.conic_iterations))
+        return {
+            "iterations": iterations,
+            "conic_newton_steps": steps,
+            "ms_per_iteration": 1e3 * seconds / iterations,
+            "ms_per_conic_step": 1e3 * seconds / steps,
+            "bytes": memory(self.compiled),
+        }
 
 
 def run(echo: Callable[[str], None]) -> dict[str, Any]:
     """Case 1 at every size."""
     scenario = platform_to_platform()
+    sizes = [Size.of(f"{n} nodes", scenario, n) for n in NODES]
+    sizes += [Size.of(f"{f} faces", with_faces(scenario, f), STANDARD) for f in FACES]
+    times = least_in_turns([size.solve for size in sizes], TURNS)
+    rows = [size.row(seconds) for size, seconds in zip(sizes, times, strict=True)]
     echo(
         f"{'':12}{'iterations':>11}{'conic steps':>13}{'ms an iteration':>17}{'ms a conic step':>17}{'MiB':>7}"
     )
-    by_nodes = {n: measure(f"{n} nodes", scenario, n, echo) for n in NODES}
-    by_faces = {f: measure(f"{f} faces", with_faces(scenario, f), 30, echo) for f in FACES}
-    per_iteration = {n: row["ms_per_iteration"] for n, row in by_nodes.items()}
+    for size, row in zip(sizes, rows, strict=True):
+        echo(
+            f"{size.name:12}{row['iterations']:11d}{row['conic_newton_steps']:13d}{row['ms_per_iteration']:17.2f}"
+            f"{row['ms_per_conic_step']:17.3f}{row['bytes'] / 2**20:7.1f}"
+        )
+    by_nodes = dict(zip(NODES, rows, strict=False))
     return {
-        "ms_per_iteration": per_iteration[30],
-        "scaling_240_over_30": per_iteration[240] / per_iteration[30],
+        "ms_per_iteration": by_nodes[STANDARD]["ms_per_iteration"],
+        "scaling_240_over_30": by_nodes[240]["ms_per_iteration"] / by_nodes[STANDARD]["ms_per_iteration"],
         "by_nodes": by_nodes,
-        "by_faces": by_faces,
+        "by_faces": dict(zip(FACES, rows[len(NODES) :], strict=True)),
     }
-
-
-def measure(name: str, scenario: LandingScenario, nodes: int, echo: Callable[[str], None]) -> dict[str, Any]:
-    """Time and memory of the iterations, guess and certificate left out."""
-    planner = Planner(nodes=nodes, method=SCP())
-    problem, z, _ = jax.jit(planner.setup)(scenario)
-    compiled = jax.jit(planner.method.run).lower(problem, z).compile()
-    state = compiled(problem, z)
-    iterations, steps = int(state.iterations), int(jnp.sum(state.history.conic_iterations))
-    seconds = least_seconds(lambda: compiled(problem, z))
-    row = {
-        "iterations": iterations,
-        "conic_newton_steps": steps,
-        "ms_per_iteration": 1e3 * seconds / iterations,
-        "ms_per_conic_step": 1e3 * seconds / steps,
-        "bytes": memory(compiled),
-    }
-    echo(
-        f"{name:12}{iterations:11d}{steps:13d}{row['ms_per_iteration']:17.2f}{row['ms_per_conic_step']:17.3f}"
-        f"{row['bytes'] / 2**20:7.1f}"
-    )
-    return row
 
 
 def memory(compiled: Any) -> int:

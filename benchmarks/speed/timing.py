@@ -1,7 +1,7 @@
 """Clocks: of whole calls, of a piece as it runs inside a compiled loop, and of the machine itself."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,6 +35,14 @@ def median_seconds(function: Callable[[], Any], repeats: int) -> float:
     """Median of warm calls; the first, which may compile, is not counted."""
     jax.block_until_ready(function())
     return float(np.median([elapsed(function) for _ in range(repeats)]))
+
+
+def least_in_turns(functions: Sequence[Callable[[], Any]], turns: int) -> list[float]:
+    """Least of warm calls of each, made in turns: what are to be compared then see the same neighbours."""
+    for function in functions:
+        jax.block_until_ready(function())
+    rounds = [[elapsed(function) for function in functions] for _ in range(turns)]
+    return np.min(rounds, axis=0).tolist()
 
 
 class Loop:
