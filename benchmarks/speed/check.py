@@ -16,12 +16,12 @@ TOLERANCE = 1.5  # factor: both sides of a ratio are measured on machines that o
 
 
 def regressions(found: dict[str, Any], echo: Callable[[str], None]) -> list[str]:
-    """Names of the ratios that have become worse by more than the tolerance; what was not measured is passed over."""
+    """Names of the ratios that are worse by more than the tolerance; what was not measured, now or then, is left out."""
     kept = json.loads(BASELINE.read_text())["ratios"]
     worse = []
     for name, higher in HIGHER_IS_BETTER.items():
-        if name not in found:
-            echo(f"{name:22} not measured")
+        if name not in found or name not in kept:
+            echo(f"{name:22} not compared")
             continue
         now, before = found[name] or 0.0, kept[name]
         bad = now < before / TOLERANCE if higher else now > before * TOLERANCE
