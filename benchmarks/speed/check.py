@@ -16,7 +16,7 @@ TOLERANCE = 1.5  # factor: both sides of a ratio are measured on machines that o
 
 
 def regressions(found: dict[str, Any], echo: Callable[[str], None]) -> list[str]:
-    """Names of the ratios that are worse by more than the tolerance; what was not measured, now or then, is left out."""
+    """Names of the ratios that are worse by more than the tolerance; what was not measured is left out."""
     kept = json.loads(BASELINE.read_text())["ratios"]
     worse = []
     for name, higher in HIGHER_IS_BETTER.items():
