@@ -48,7 +48,7 @@ SMALLEST = (
     1e-3  # of the largest derivative of an output over all leaves: smaller ones are judged relative to that
 )
 MISSIONS = {"platform": scenarios.platform_to_platform, "ascend": scenarios.ascent_to_platform}
-BATCH = 1024  # lanes that are planned together; more follow one another
+BATCH = 4096  # lanes that are planned together; more follow one another
 METHOD = jaxscp.NewtonSCP()
 PLANNER = jaxscp.Planner(nodes=NODES, method=METHOD)
 
@@ -188,20 +188,19 @@ def translation(echo: Any) -> float:
 
 
 def cost_of_gradients(lanes: int, repeats: int, echo: Any) -> dict[str, Any]:
-    """Time and memory of a plan with its gradient, over those of the plan, less one."""
+    """Time and memory of plans with the gradient of their flight time, over those of the plans, less one."""
     base = bare(scenarios.platform_to_platform(), 1.0)
     if lanes:
         base = jax.tree.map(lambda v: v[1:], instances("platform", lanes))
     floats, rest = eqx.partition(base, eqx.is_inexact_array)
 
-    def cost(floats):
-        plan = lambda f, r: PLANNER(eqx.combine(f, r)).final_time  # noqa: E731
-        if not lanes:
-            return plan(floats, rest)
-        return jnp.sum(jax.lax.map(lambda lane: plan(*lane), (floats, rest), batch_size=BATCH))
+    def plan(floats):
+        one = lambda lane: PLANNER(eqx.combine(*lane))  # noqa: E731
+        found = jax.lax.map(one, (floats, rest), batch_size=BATCH) if lanes else one((floats, rest))
+        return jnp.sum(found.final_time), found
 
     figures = {}
-    for name, function in (("plan", cost), ("with_gradient", jax.value_and_grad(cost))):
+    for name, function in (("plan", plan), ("with_gradient", jax.value_and_grad(plan, has_aux=True))):
         compiled = jax.jit(function).lower(floats).compile()
         memory: Any = compiled.memory_analysis()
         if not lanes:  # a batch takes minutes, and its first run hardly more than others
