@@ -14,11 +14,11 @@ import functools
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array
 
 from jaxscp import riccati
 from jaxscp.central_path import Point, conditions, multipliers
+from jaxscp.implicit import symmetric_solve
 from jaxscp.interior import local, newton_chain, scaled, unscaled, weightings
 from jaxscp.intervals import Grid
 from jaxscp.problem import OptimalControlProblem, typical_sizes
@@ -79,20 +79,14 @@ def _solve(problem: OptimalControlProblem, point: Point, grid: Grid, reached: Fl
     shapes = jax.eval_shape(build)
     # A branch, though all lanes of a batch take both: XLA sets its memory aside only while it runs.
     factor = jax.lax.cond(reached, build, lambda: jax.tree.map(lambda v: jnp.zeros(v.shape, v.dtype), shapes))
-    defined = reached & factor.definite
     scale = typical_sizes(point.z)
-    # one vector: all of it is linear in the tangents, or none
-    flat, unravel = ravel_pytree(scaled(right, scale))
-
-    def matrix(v):
-        return ravel_pytree(riccati.apply(factor.chain, unravel(v)))[0]
-
-    def solve(_, v):
-        nothing = jnp.where(jnp.any(v != 0) & ~defined, jnp.nan, 0.0)
-        return jnp.where(defined, ravel_pytree(riccati.solve(factor, unravel(v)))[0], nothing)
-
-    found = jax.lax.custom_linear_solve(matrix, flat, solve, transpose_solve=solve, symmetric=True)
-    return unscaled(unravel(found), scale)
+    found = symmetric_solve(
+        lambda v: riccati.apply(factor.chain, v),
+        lambda v: riccati.solve(factor, v),
+        scaled(right, scale),
+        reached & factor.definite,
+    )
+    return unscaled(found, scale)
 
 
 @functools.partial(jax.jit, static_argnums=2)
