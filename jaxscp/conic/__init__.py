@@ -1,5 +1,7 @@
-"""Solvers for the convex subproblem: our structured interior point, and OSQP on its quadratic form."""
+"""Solvers for the convex subproblem: our structured interior point, also as a layer, and OSQP on its quadratic form."""
 
+from jaxscp.conic.layer import ConicLayer as ConicLayer
+from jaxscp.conic.layer import LayerSolution as LayerSolution
 from jaxscp.conic.osqp import OSQP as OSQP
 from jaxscp.conic.program import Cones as Cones
 from jaxscp.conic.program import ConicSolution as ConicSolution

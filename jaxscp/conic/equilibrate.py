@@ -46,8 +46,8 @@ def equilibrate(program: StagedProgram, rounds: int = 3) -> tuple[StagedProgram,
         jnp.ones((), program.gradient.dtype),
     )
     for _ in range(rounds):
-        scales = _refine(_scaled(program, scales), scales)
-    return _scaled(program, scales), scales
+        scales = _refine(scaled_by(program, scales), scales)
+    return scaled_by(program, scales), scales
 
 
 def _refine(scaled: StagedProgram, scales: Scales) -> Scales:
@@ -81,7 +81,8 @@ def _cost_scale(scaled: StagedProgram, columns: Float[Array, "nodes variables"])
     largest = jnp.max(jnp.abs(columns * scaled.gradient))
     if scaled.norm is not None:
         largest = jnp.maximum(largest, jnp.max(scaled.norm.weight))
-    return 1.0 / jnp.clip(largest, _LOWEST, _HIGHEST)
+    # A cost without linear terms gives no hint: to take it for a tiny one would blow up the prices of the links.
+    return 1.0 / jnp.where(largest > 0, jnp.clip(largest, _LOWEST, _HIGHEST), 1.0)
 
 
 def _shrink(size: jax.Array) -> jax.Array:
@@ -89,7 +90,8 @@ def _shrink(size: jax.Array) -> jax.Array:
     return jnp.where(size > 1e-12, 1.0 / jnp.sqrt(jnp.maximum(size, 1e-12)), 1.0)
 
 
-def _scaled(program: StagedProgram, s: Scales) -> StagedProgram:
+def scaled_by(program: StagedProgram, s: Scales) -> StagedProgram:
+    """The program in the units of given scales; linear in its data, so that derivatives pass."""
     columns_before = jnp.concatenate([jnp.ones_like(s.columns[:1]), s.columns])
     columns_after = jnp.concatenate([s.columns, jnp.ones_like(s.columns[:1])])
     links = program.links

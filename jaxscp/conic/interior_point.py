@@ -6,19 +6,17 @@ its solution either tau > 0 and x / tau solves the program, or kappa > 0 and the
 program is infeasible or unbounded.
 """
 
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxscp.conic import cones, kkt
 from jaxscp.conic.cones import ConeVector, tree_axpy, tree_dot, tree_max
 from jaxscp.conic.equilibrate import Scales, equilibrate
 from jaxscp.conic.kkt import Primal
 from jaxscp.conic.program import ConicSolution, Multipliers, StagedProgram
-from jaxscp.status import Status
+from jaxscp.status import Status, StatusCode
 from jaxscp.types import Scalar
 
 
@@ -30,6 +28,11 @@ class Iterate(eqx.Module):
     s: ConeVector
     tau: Scalar
     kappa: Scalar
+
+    def solution(self) -> tuple[Primal, ConeVector, ConeVector]:
+        """Variables, multipliers and slacks of the program itself, where it is solved."""
+        tau = jnp.maximum(self.tau, 1e-12)
+        return jax.tree.map(lambda v: v / tau, (self.x, self.y, self.s))
 
 
 class Residuals(eqx.Module):
@@ -89,12 +92,33 @@ class InteriorPoint(eqx.Module):
             A ``ConicSolution``; ``z`` is always finite, its ``status`` says what it is worth.
         """
         scaled, scales = equilibrate(program, self.equilibration)
-        progress = jax.lax.while_loop(
+        progress = self.iterate(scaled, scales)
+        x, y, _ = progress.iterate.solution()
+        z, multipliers = restored(scaled, scales, x, y)
+        return ConicSolution(z, multipliers, program.objective(z), self.status(progress), progress.iterations)
+
+    def iterate(self, program: StagedProgram, scales: Scales) -> Progress:
+        """The loop itself, on an equilibrated program."""
+        return jax.lax.while_loop(
             lambda p: ~self._finished(p),
-            lambda p: self._step(scaled, scales, p),
-            self._start(scaled, scales),
+            lambda p: self._step(program, scales, p),
+            self._start(program, scales),
         )
-        return self._conclude(program, scaled, scales, progress)
+
+    def status(self, progress: Progress) -> StatusCode:
+        """How the loop ended."""
+        r = progress.residuals
+        solved_status = Status.where(
+            progress.broken,
+            Status.numerical_error,
+            Status.where(progress.stalled, Status.insufficient_progress, Status.iteration_limit),
+        )
+        solved_status = Status.where(r.error <= self.loose_tolerance, Status.almost_converged, solved_status)
+        solved_status = Status.where(r.unboundedness <= self.proof_tolerance, Status.unbounded, solved_status)
+        solved_status = Status.where(
+            r.infeasibility <= self.proof_tolerance, Status.infeasible, solved_status
+        )
+        return Status.where(r.error <= self.tolerance, Status.converged, solved_status)
 
     def _start(self, program: StagedProgram, scales: Scales) -> Progress:
         """The point that solves the program with its cones replaced by a least-squares penalty."""
@@ -142,34 +166,13 @@ class InteriorPoint(eqx.Module):
         new, residuals = jax.tree.map(lambda a, b: jnp.where(keep, a, b), (old, r), (new, residuals))
         return Progress(new, residuals, progress.iterations + 1, stalled, broken)
 
-    def _conclude(
-        self, program: StagedProgram, scaled: StagedProgram, scales: Scales, progress: Progress
-    ) -> ConicSolution:
-        iterate, r = progress.iterate, progress.residuals
-        y, tau = iterate.y, jnp.maximum(iterate.tau, 1e-12)
-        user, _, _ = kkt.unpack(scaled, y.second)
-        multipliers = Multipliers(
-            links=kkt.link_multiplier(scaled, y) / tau,
-            rows=y.orthant / tau,
-            cones=tuple(v / tau for v in user),
-        )
-        z, multipliers = scales.restore(iterate.x.z / tau, multipliers)
-        return ConicSolution(
-            z, multipliers, program.objective(z), self._status(r, progress), progress.iterations
-        )
 
-    def _status(self, r: Residuals, progress: Progress) -> Any:
-        solved_status = Status.where(
-            progress.broken,
-            Status.numerical_error,
-            Status.where(progress.stalled, Status.insufficient_progress, Status.iteration_limit),
-        )
-        solved_status = Status.where(r.error <= self.loose_tolerance, Status.almost_converged, solved_status)
-        solved_status = Status.where(r.unboundedness <= self.proof_tolerance, Status.unbounded, solved_status)
-        solved_status = Status.where(
-            r.infeasibility <= self.proof_tolerance, Status.infeasible, solved_status
-        )
-        return Status.where(r.error <= self.tolerance, Status.converged, solved_status)
+def restored(
+    scaled: StagedProgram, scales: Scales, x: Primal, y: ConeVector
+) -> tuple[Float[Array, "nodes variables"], Multipliers]:
+    """Node variables and multipliers of the given program, from those of the equilibrated one."""
+    user, _, _ = kkt.unpack(scaled, y.second)
+    return scales.restore(x.z, Multipliers(kkt.link_multiplier(scaled, y), y.orthant, tuple(user)))
 
 
 class _Newton:
