@@ -21,7 +21,6 @@ is not, because a constraint is weakly active, the path still has a derivative: 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxopt import implicit_diff
 
 from jaxscp.conic import kkt
 from jaxscp.conic.augmented import System, Unknowns, factorise
@@ -123,6 +122,8 @@ def _followed(program: StagedProgram, optimum: Optimum, matrix: System, reached:
 
 @_followed.defjvp
 def _moved(primals, tangents):
+    from jaxopt import implicit_diff  # here, since few programs ask for a derivative and it is slow to import
+
     program, optimum, matrix, reached = primals
 
     def residual(optimum, program):
