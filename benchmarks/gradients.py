@@ -15,6 +15,7 @@ memory of a gradient, relative to the plan alone; with ``--lanes``, in a batch t
 import argparse
 import json
 import time
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import jax
@@ -199,9 +200,11 @@ def cost_of_gradients(lanes: int, repeats: int, echo: Any) -> dict[str, Any]:
         found = jax.lax.map(one, (floats, rest), batch_size=BATCH) if lanes else one((floats, rest))
         return jnp.sum(found.final_time), found
 
+    functions = {"plan": plan, "with its gradient": jax.value_and_grad(plan, has_aux=True)}
+    with ThreadPoolExecutor() as pool:  # compilers run side by side
+        programs = pool.map(lambda function: jax.jit(function).lower(floats).compile(), functions.values())
     figures = {}
-    for name, function in (("plan", plan), ("with_gradient", jax.value_and_grad(plan, has_aux=True))):
-        compiled = jax.jit(function).lower(floats).compile()
+    for name, compiled in zip(functions, programs, strict=True):
         memory: Any = compiled.memory_analysis()
         if not lanes:  # a batch takes minutes, and its first run hardly more than others
             jax.block_until_ready(compiled(floats))

@@ -129,7 +129,7 @@ def fly(problem: OptimalControlProblem, w: Float[Array, "inputs"], grid: Grid, p
         push: (all steps, stages, states + 1), added to the slopes of the stages; of use for its derivatives.
     """
     n = problem.state_size
-    rate = interval_rate(problem, w)
+    rate = jax.checkpoint(interval_rate(problem, w))  # reverse mode keeps no more of a stage than its state
 
     def forward(extended, at):
         extended, _ = rk6_step(rate, at[0], extended, step_size(grid), at[1])
