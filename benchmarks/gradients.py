@@ -3,13 +3,14 @@
     python -m benchmarks.gradients [--json] [--instances 25] [--chunk 26] [--lanes 0] [--repeats 7] [--gpu]
 
 For both missions and random variations of them: every float leaf of the scenario is moved along a random direction of
-its own size, the problem is solved again at two points on either side (by the interior point, from the plan at hand and
-at its mu, so that the answer is of the same branch), and the central differences, of fourth order, of cost, flight time
-and three random functions of the trajectory are compared with the implicit derivative. Some plans bend a thousand times
-more than others: of two stencils, that counts whose differences of second and fourth order agree better. An instance
-and leaf are left out where the set of active constraints (price above slack) differs between the points of a stencil,
-or the problem has no solution at one of them (a goal on the floor of its corridor, moved out of it). Then the time and
-memory of a gradient, relative to the plan alone; with ``--lanes``, in a batch too.
+its own size, the problem is solved again at two points on either side, and the central differences, of fourth order, of
+cost, flight time and three random functions of the trajectory are compared with the implicit derivative. The problem is
+solved by the interior point at the plan's own mu, from where the derivative foretells the answer: else it may end in
+another of many optima. Some plans bend a thousand times more than others: of three stencils, that counts whose
+differences of second and fourth order agree best. An instance and leaf are left out where the set of active constraints
+(price above slack) differs between the points of a stencil, or the problem has no solution at one of them (a goal on
+the floor of its corridor, moved out of it). Then the time and memory of a gradient, relative to the plan alone; with
+``--lanes``, in a batch too.
 """
 
 import argparse
@@ -38,7 +39,7 @@ from jaxscp.sensitivity import follow  # noqa: E402
 from tests.random_instances import bare, random_instances  # noqa: E402
 
 NODES = 30
-STEPS = (1e-5, 1e-6)  # of a leaf's size
+STEPS = (1e-5, 1e-6, 1e-7)  # of a leaf's size
 STENCIL = np.array([1.0, -1.0, 2.0, -2.0])  # steps
 FOURTH, SECOND = np.array([8.0, -8.0, -1.0, 1.0]) / 12.0, np.array([1.0, -1.0, 0.0, 0.0]) / 2.0  # orders
 AGAIN = Interior(
@@ -91,22 +92,26 @@ def outputs(problem, z):
 
 
 def implicit(scenario, solution, change):
-    """Derivative of the outputs along a change of the scenario."""
+    """Derivatives of the outputs, and of the optimum itself, along a change of the scenario."""
     y = solution.multipliers
     point = Point(solution.z, y.flow, y.initial, y.final)
 
     def of(scenario):
         problem = landing_problem(scenario, solution.allocation)
-        return outputs(problem, follow(problem, point, METHOD.grid, solution.differentiable).z)
+        found = follow(problem, point, METHOD.grid, solution.differentiable)
+        return outputs(problem, found.z), found
 
     return jax.jvp(of, (scenario,), (change,))[1]
 
 
-def again(scenario, solution, change, length):
+def again(scenario, solution, change, foretold, length):
     """Outputs of the changed problem, solved again; the active set; and whether that ended well."""
-    moved = jax.tree.map(lambda a, b: a + length * b, scenario, change)
+    moved, z = (
+        jax.tree.map(lambda a, b: a + length * b, *pair)
+        for pair in ((scenario, change), (solution.z, foretold.z))
+    )
     problem = landing_problem(moved, solution.allocation)
-    end = AGAIN.run(problem, solution.z, solution.multipliers, METHOD.grid)
+    end = AGAIN.run(problem, z, solution.multipliers, METHOD.grid)
     active = jnp.concatenate([(y > s).ravel() for y, s in zip(end.y.values, end.slack, strict=True)])
     return outputs(problem, end.z), active, end.error <= SOLVED
 
@@ -114,14 +119,15 @@ def again(scenario, solution, change, length):
 def one(scenario, solution, leaf, key):
     """The derivative; for each stencil the difference, its error by its own account, and whether it is any good."""
     change = direction(key, scenario, leaf)
+    derivative, foretold = implicit(scenario, solution, change)
 
     def difference(step):
-        points = jax.vmap(lambda steps: again(scenario, solution, change, step * steps))(jnp.asarray(STENCIL))
-        values, active, solved = points
+        solve = lambda steps: again(scenario, solution, change, foretold, step * steps)  # noqa: E731
+        values, active, solved = jax.vmap(solve)(jnp.asarray(STENCIL))
         slope, rougher = FOURTH @ values / step, SECOND @ values / step
         return slope, slope - rougher, jnp.all(active == active[0]), jnp.all(solved)
 
-    return implicit(scenario, solution, change), *jax.lax.map(difference, jnp.array(STEPS))
+    return derivative, *jax.lax.map(difference, jnp.array(STEPS))
 
 
 def compare(mission: str, count: int, chunk: int, echo: Any) -> dict[str, Any]:
