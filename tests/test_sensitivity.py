@@ -21,6 +21,10 @@ BARRIER = 1e-3  # relative; what the barrier and the shortest interval change of
 LAW = 1e-4  # relative; what the room given to constraints, which does not scale, breaks of a law of scaling
 ROUNDING = 1e-8  # of sums of gradients that cancel
 DIFFERENCES = 1e-4  # relative; central ones of plans made again
+MIRROR = (
+    1e-6  # relative; what rounding, which eigenvectors do not mirror, leaves of a symmetry at two like optima
+)
+POLAR, AXIAL = jnp.array([1.0, -1.0, 1.0]), jnp.array([-1.0, 1.0, -1.0])  # vectors in a mirror across y
 
 
 @pytest.fixture(scope="module")
@@ -141,6 +145,52 @@ def test_a_heavier_world_takes_as_long(planned):
 
     assert abs(along(of_cost)) < LAW * float(values[0])
     assert abs(along(of_time)) < LAW * float(values[1])
+
+
+def mirrored(s):
+    """A scene, or a gradient with respect to one, in a mirror across y; every rotor then turns the other way."""
+
+    def body(b):
+        turned = (
+            POLAR[:, None] * b.thrust_map,
+            AXIAL[:, None] * b.torque_map,
+            POLAR[:, None] * b.inertia * POLAR,
+        )
+        return eqx.tree_at(
+            lambda b: (b.thrust_map, b.torque_map, b.inertia, b.gravity), b, (*turned, POLAR * b.gravity)
+        )
+
+    def end(e):
+        turned = (
+            POLAR * e.position,
+            POLAR * e.velocity,
+            jnp.append(1.0, AXIAL) * e.attitude,
+            AXIAL * e.body_rate,
+        )
+        return eqx.tree_at(lambda e: (e.position, e.velocity, e.attitude, e.body_rate), e, turned)
+
+    corridor = (s.corridor.normals * POLAR, s.corridor.joints * POLAR)
+    return eqx.tree_at(
+        lambda s: (s.airframe.body, s.start, s.goal, s.corridor.normals, s.corridor.joints),
+        s,
+        (body(s.airframe.body), end(s.start), end(s.goal), *corridor),
+    )
+
+
+@pytest.mark.slow
+def test_a_mirrored_scene_has_mirrored_gradients(planned):
+    floats, plan = planned
+    values, *gradients, _ = plan(floats)
+    in_mirror, *turned, differentiable = plan(mirrored(floats))
+    assert bool(differentiable)
+    np.testing.assert_allclose(in_mirror, values, rtol=MIRROR)
+    for found, expected in zip(turned, map(mirrored, gradients), strict=True):
+        size = max(float(jnp.max(jnp.abs(v))) for v in jax.tree.leaves(expected))
+        jax.tree.map(
+            lambda a, b, size=size: np.testing.assert_allclose(a, b, rtol=0.0, atol=MIRROR * size),
+            found,
+            expected,
+        )
 
 
 @pytest.mark.slow
