@@ -42,13 +42,11 @@ NODES = 30
 STEPS = (1e-5, 1e-6, 1e-7, 2e-8)  # of a leaf's size; a goal on a floor has a micrometre of room
 STENCIL = np.array([1.0, -1.0, 2.0, -2.0])  # steps
 FOURTH, SECOND = np.array([8.0, -8.0, -1.0, 1.0]) / 12.0, np.array([1.0, -1.0, 0.0, 0.0]) / 2.0  # orders
-AGAIN = Interior(
-    first=MU, tolerance=1e-12, max_steps=10
-)  # the problem solved again: as far as rounding lets it
+# the problem solved again, as far as rounding lets it
+AGAIN = Interior(first=MU, tolerance=1e-12, max_steps=10)
 SOLVED = 1e-9  # residual at which it counts as solved
-SMALLEST = (
-    1e-3  # of the largest derivative of an output over all leaves: smaller ones are judged relative to that
-)
+# of the largest derivative of an output over all leaves: smaller ones are judged relative to that
+SMALLEST = 1e-3
 MISSIONS = {"platform": scenarios.platform_to_platform, "ascend": scenarios.ascent_to_platform}
 BATCH = 4096  # lanes that are planned together; more follow one another
 METHOD = jaxscp.NewtonSCP()
