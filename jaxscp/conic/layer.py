@@ -56,7 +56,8 @@ class ConicLayer(eqx.Module):
     point's, and derivatives that are asked for are NaN (and zero if they are asked for with weight zero, so that a lane
     can be masked with ``differentiable``). So are those in directions, forward or reverse, in which the linear system
     has no accurate solution: along a face of many optima, and where redundant links would contradict each other. In
-    other directions redundant links do no harm.
+    other directions redundant links do no harm. The derivative of ``objective`` is made of multipliers alone: where
+    these are not unique, it holds for changes after which the program still has a solution.
 
     Args:
         solver: the interior point that comes first.
