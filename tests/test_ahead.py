@@ -50,6 +50,12 @@ def expected(scenario):
 
 
 @pytest.fixture(scope="module")
+def answer(loaded, scenario):
+    """Of the loaded planner: to compile the planner itself as well takes as long as all other tests here."""
+    return loaded(scenario)
+
+
+@pytest.fixture(scope="module")
 def file(scenario, tmp_path_factory):
     file = tmp_path_factory.mktemp("export") / "planner.jaxscp"
     PLANNER.export(file, scenario)
@@ -68,17 +74,18 @@ def assert_same(found, expected):
         np.testing.assert_array_equal(one, other)
 
 
+@pytest.mark.slow
 def test_a_loaded_planner_gives_the_same_bits(loaded, scenario, expected):
     assert_same(loaded(scenario), expected)
 
 
-def test_a_fresh_process_loads_and_plans_without_tracing(file, expected, tmp_path):
-    answer = tmp_path / "answer.npz"
+def test_a_fresh_process_loads_and_plans_without_tracing(file, answer, tmp_path):
+    found = tmp_path / "answer.npz"
     subprocess.run(
-        [sys.executable, "-c", FRESH, file, answer], check=True, env={**os.environ, "JAX_PLATFORMS": "cpu"}
+        [sys.executable, "-c", FRESH, file, found], check=True, env={**os.environ, "JAX_PLATFORMS": "cpu"}
     )
-    with np.load(answer) as found:
-        for one, other in zip(found.values(), jax.tree.leaves(expected), strict=True):
+    with np.load(found) as leaves:
+        for one, other in zip(leaves.values(), jax.tree.leaves(answer), strict=True):
             np.testing.assert_array_equal(one, other)
 
 
@@ -97,8 +104,8 @@ def test_another_shape_is_named(loaded, scenario):
         loaded(dataclasses.replace(scenario, limits=jaxscp.flight_limits(speed=3.0)))
 
 
-def test_obstacles_are_no_part_of_the_shape(loaded, scenario, expected):
-    assert_same(loaded(dataclasses.replace(scenario, obstacles=scenario.obstacles[:5])), expected)
+def test_obstacles_are_no_part_of_the_shape(loaded, scenario, answer):
+    assert_same(loaded(dataclasses.replace(scenario, obstacles=scenario.obstacles[:5])), answer)
 
 
 def test_inside_vmap_it_says_what_to_call(loaded, scenario):
@@ -113,10 +120,10 @@ def test_a_missing_file(tmp_path):
         jaxscp.load(tmp_path / "nowhere")
 
 
-def test_another_kind_of_file(tmp_path, expected):
+def test_another_kind_of_file(tmp_path, answer):
     text, archived = tmp_path / "text", tmp_path / "plan.npz"
     text.write_text("no archive")
-    expected.trajectory.save(archived)
+    answer.trajectory.save(archived)
     for other in (text, archived):
         with pytest.raises(jaxscp.InvalidExport, match="not a planner that"):
             jaxscp.load(other)
@@ -169,8 +176,8 @@ def test_a_folder_that_is_not_there_is_no_place_for_a_file(scenario, tmp_path):
         PLANNER.export(tmp_path / "missing" / "planner.jaxscp", scenario)
 
 
-def test_what_is_described_can_be_built_again(expected):
-    description = json.loads(json.dumps(describe(expected.trajectory)))
+def test_what_is_described_can_be_built_again(answer):
+    description = json.loads(json.dumps(describe(answer.trajectory)))
     again = prototype(description, [jaxscp.Trajectory])
     assert difference(description, describe(again)) is None
     with pytest.raises(KeyError):
