@@ -109,7 +109,7 @@ class Planner(eqx.Module):
             >>> scenario = jaxscp.scenarios.ascent_to_platform()
             >>> planner = jaxscp.Planner(nodes=10, method=jaxscp.SCP(max_iterations=1)).compile(scenario)
             >>> jaxscp.status_names(planner(scenario).status)
-            'dynamics_unmet'
+            'iteration_limit'
         """
         return ahead.compiled(self._plan_ahead(scenario, lanes))
 
