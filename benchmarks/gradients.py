@@ -14,8 +14,8 @@ the floor of its corridor, moved out of it). Then the time and memory of a gradi
 """
 
 import argparse
+import functools
 import json
-import time
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -28,6 +28,7 @@ import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 
 import jaxscp  # noqa: E402
+from benchmarks.speed.timing import elapsed, median_seconds  # noqa: E402
 from jaxscp import LandingScenario, scenarios  # noqa: E402
 from jaxscp.central_path import MU, Point  # noqa: E402
 from jaxscp.convexify import terminal_cost  # noqa: E402
@@ -210,14 +211,10 @@ def cost_of_gradients(lanes: int, repeats: int, echo: Any) -> dict[str, Any]:
     figures = {}
     for name, compiled in zip(functions, programs, strict=True):
         memory: Any = compiled.memory_analysis()
-        if not lanes:  # a batch takes minutes, and its first run hardly more than others
-            jax.block_until_ready(compiled(floats))
-        times = []
-        for _ in range(repeats):
-            began = time.perf_counter()
-            jax.block_until_ready(compiled(floats))
-            times.append(time.perf_counter() - began)
-        figures[name] = (float(np.median(times)), memory.temp_size_in_bytes + memory.output_size_in_bytes)
+        call = functools.partial(compiled, floats)
+        # a batch takes minutes, and its first run hardly more than others
+        seconds = elapsed(call) if lanes else median_seconds(call, repeats)
+        figures[name] = (seconds, memory.temp_size_in_bytes + memory.output_size_in_bytes)
         echo(f"{lanes or 1} at once, {name}: {figures[name][0]:.3f} s, {figures[name][1] / 2**20:.1f} MiB")
     (plain, bytes_plain), (more, bytes_more) = figures.values()
     return {

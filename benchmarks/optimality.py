@@ -36,10 +36,9 @@ from benchmarks.rivals.optimum import Extras, Optimum, Start, best  # noqa: E402
 from benchmarks.rivals.problem import LandingArrays  # noqa: E402
 from jaxscp import LandingScenario, scenarios, status_names  # noqa: E402
 from jaxscp.corridor.polytopes import Corridor, box, connect  # noqa: E402
-from tests.random_instances import bare, random_instances  # noqa: E402
+from tests.random_instances import PRICES, bare, random_instances  # noqa: E402
 
 NODES = 30
-PRICES = (0.0, 5.0)  # w_t
 PERCENT = {"share_within_0.1_percent": 1e-3, "share_within_1_percent": 1e-2}
 BALL, BALL_RADIUS = (5.2, 0.4, 2.6), 0.6  # m: across the way of both optima without it
 DECK_VELOCITY = (0.3, -0.1, 0.1)

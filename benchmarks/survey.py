@@ -18,10 +18,9 @@ import numpy as np  # noqa: E402
 
 import jaxscp  # noqa: E402
 from jaxscp import LandingScenario, scenarios, status_names  # noqa: E402
-from tests.random_instances import bare, random_instances  # noqa: E402
+from tests.random_instances import PRICES, bare, random_instances  # noqa: E402
 
 NODES = 30
-PRICES = (0.0, 5.0)  # w_t
 TOO_SHORT = 0.6  # s: at full thrust, and falling freely, no instance gets as far as its goal
 
 

@@ -1,13 +1,14 @@
 """Random variations of the two missions, shared by tests and benchmarks."""
 
-import dataclasses
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
 import jaxscp
+from jaxscp.ahead import without_obstacles
 from jaxscp.rotations import from_yaw
+
+PRICES = (0.0, 5.0)  # w_t, at which benchmarks plan them
 
 
 def random_instances(key, count: int, mission=jaxscp.scenarios.platform_to_platform):
@@ -47,5 +48,4 @@ def random_instances(key, count: int, mission=jaxscp.scenarios.platform_to_platf
 
 def bare(scenario: jaxscp.LandingScenario, price: float) -> jaxscp.LandingScenario:
     """Without the point cloud, which the solver does not read: one shape, so one compilation. With a price of time."""
-    scenario = dataclasses.replace(scenario, obstacles=None)
-    return eqx.tree_at(lambda s: s.weights.time, scenario, jnp.asarray(price))
+    return eqx.tree_at(lambda s: s.weights.time, without_obstacles(scenario), jnp.asarray(price))

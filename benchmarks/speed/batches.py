@@ -16,7 +16,7 @@ from benchmarks.speed.scaling import memory
 from benchmarks.speed.timing import elapsed
 from jaxscp import SCP, LandingScenario, Planner, Solution, Status
 from jaxscp.scenarios import platform_to_platform
-from tests.random_instances import random_instances
+from tests.random_instances import bare, random_instances
 
 REPEATS = 3  # of a batch, of which the least time counts
 WALLS = 0.15  # m by which walls of the corridor may stand back
@@ -25,14 +25,10 @@ WALLS = 0.15  # m by which walls of the corridor may stand back
 def instances(key: Any, count: int) -> LandingScenario:
     """A batch of distinct feasible flights."""
     keys = jax.random.split(key)
-    batch = random_instances(keys[0], count, lambda: _bare(platform_to_platform()))
+    batch = random_instances(keys[0], count, lambda: bare(platform_to_platform(), 0.0))
     offsets = batch.corridor.offsets
     back = jax.random.uniform(keys[1], offsets.shape, offsets.dtype, maxval=WALLS)
     return eqx.tree_at(lambda s: s.corridor.offsets, batch, offsets + back)
-
-
-def _bare(scenario: LandingScenario) -> LandingScenario:
-    return eqx.tree_at(lambda s: s.obstacles, scenario, None, is_leaf=lambda v: v is None)
 
 
 def sizes_up_to(lanes: int) -> list[int]:
