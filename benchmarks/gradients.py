@@ -45,7 +45,7 @@ STENCIL = np.array([1.0, -1.0, 2.0, -2.0])  # steps
 FOURTH, SECOND = np.array([8.0, -8.0, -1.0, 1.0]) / 12.0, np.array([1.0, -1.0, 0.0, 0.0]) / 2.0  # orders
 # the problem solved again, as far as rounding lets it
 AGAIN = Interior(first=MU, tolerance=1e-12, max_steps=10)
-SOLVED = 1e-9  # residual at which it counts as solved
+SOLVED = 1e-8  # residual at which it counts as solved, as the planner's own
 # of the largest derivative of an output over all leaves: smaller ones are judged relative to that
 SMALLEST = 1e-3
 MISSIONS = {"platform": scenarios.platform_to_platform, "ascend": scenarios.ascent_to_platform}
@@ -92,8 +92,7 @@ def outputs(problem, z):
 
 def implicit(scenario, solution, change):
     """Derivatives of the outputs, and of the optimum itself, along a change of the scenario."""
-    y = solution.multipliers
-    point = Point(solution.z, y.flow, y.initial, y.final)
+    point = Point(solution.z, solution.multipliers)
 
     def of(scenario):
         problem = landing_problem(scenario, solution.allocation)

@@ -9,8 +9,13 @@ polynomial algorithms in convex programming", 1994); at a small mu it costs abou
 with equality, and each of those keeps mu / price away from its limit. Unlike the optimum it has derivatives also where
 a limit is just about to matter, and where several say the same.
 
-One function, the Lagrangian of this problem, serves the iterations (``interior``), the tests and the implicit function
-theorem (``sensitivity``): at the optimum its gradient in all unknowns is zero.
+With prices y of the inequalities as unknowns of their own, -mu log det g is the most, over y, of mu log det y - y . g,
+but for a constant. One function, the Lagrangian
+
+    cost(z) + lambda . (F(w) - x) + mu sum log det y - y . g(z),
+
+then serves the tests and the implicit function theorem (``sensitivity``): at the optimum its gradient in all unknowns
+is zero. In this form no price is the quotient of mu and of a distance that rounding has a share in.
 """
 
 import equinox as eqx
@@ -31,42 +36,30 @@ ROOM = 1e-6  # added to every value, so that a condition at an end may lie on a 
 
 
 class Point(eqx.Module):
-    """All unknowns: node variables, and the multipliers of the equalities. Those of inequalities follow from them."""
+    """All unknowns: node variables, and multipliers."""
 
     z: Float[Array, "nodes variables"]
-    flow: Float[Array, "intervals states"]
-    """lambda: of F(w_i) = x_{i+1}."""
-    initial: Float[Array, "initial"]
-    """Of the conditions at the start."""
-    final: Float[Array, "final"]
-    """Of the conditions at the end."""
+    y: FlightMultipliers
 
 
 def lagrangian(problem: OptimalControlProblem, point: Point, grid: Grid, mu: Scalar | float = MU) -> Scalar:
-    """Cost, equalities times their multipliers, and barrier."""
-    z, n = point.z, problem.state_size
+    """Cost, equalities and inequalities times their multipliers, and barrier of the latter."""
+    z, y, n = point.z, point.y, problem.state_size
     outputs = evaluate(problem, z, grid)
     total = jnp.sum(outputs.cost) + terminal_cost(problem, z)
-    total += jnp.vdot(point.flow, outputs.end - z[1:, :n])
-    total += jnp.vdot(point.initial, start_condition(problem, z[0, :n])[1])
-    total += jnp.vdot(point.final, end_condition(problem, z[-1, :n])[1])
-    for cone, values in zip(cones(problem), inequalities(problem, z, outputs, ROOM), strict=True):
-        total -= mu * jnp.sum(log_det(cone, values))
+    total += jnp.vdot(y.flow, outputs.end - z[1:, :n])
+    total += jnp.vdot(y.initial, start_condition(problem, z[0, :n])[1])
+    total += jnp.vdot(y.final, end_condition(problem, z[-1, :n])[1])
+    values = inequalities(problem, z, outputs, ROOM)
+    for cone, price, value in zip(cones(problem), y.values, values, strict=True):
+        total += mu * jnp.sum(log_det(cone, price)) - jnp.vdot(price, value)
     return total
 
 
 def conditions(problem: OptimalControlProblem, point: Point, grid: Grid, mu: Scalar | float = MU) -> Point:
-    """Zero at the optimum: the Lagrangian's gradient in the node variables, and what the equalities lack."""
+    """Zero at the optimum: the Lagrangian's gradient. The multipliers' part of it is what the equalities lack, and how
+    far the values are from mu over their prices."""
     return jax.grad(lagrangian, argnums=1)(problem, point, grid, mu)
-
-
-def multipliers(
-    problem: OptimalControlProblem, point: Point, grid: Grid, mu: Scalar | float = MU
-) -> FlightMultipliers:
-    """All multipliers of a point of the central path: an inequality's is mu times its value's inverse."""
-    values = inequalities(problem, point.z, evaluate(problem, point.z, grid), ROOM)
-    prices = tuple(mu * inverse(cone, v) for cone, v in zip(cones(problem), values, strict=True))
-    return FlightMultipliers(point.flow, point.initial, point.final, prices)
 
 
 def log_det(cone: Cone, values: Float[Array, "*b rows"]) -> Float[Array, "*b"]:

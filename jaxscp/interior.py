@@ -7,15 +7,13 @@ the convex subproblems lead to is near enough). One factorisation an iteration, 
 the end is quadratic, where that of the subproblems is not.
 """
 
-from collections.abc import Callable
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxscp import riccati
-from jaxscp.central_path import MU, ROOM, Point, inverse
+from jaxscp import lanes, riccati
+from jaxscp.central_path import MU, ROOM, inverse
 from jaxscp.conic import cones as second_order
 from jaxscp.constraints import Cone, SecondOrder
 from jaxscp.convexify import terminal_cost
@@ -41,7 +39,7 @@ from jaxscp.types import Count, Flag, Scalar
 
 TO_BOUNDARY = 0.99  # share of the way to the cone's boundary that a step may go
 LONGEST = 0.3  # of a variable's typical size, that a step may change it by
-Weightings = tuple[Callable[[Array], Array], ...]
+Scalings = tuple["OrthantScaling | second_order.SecondOrderScaling", ...]
 LEAST_SHIFT, GROWTH, MOST_SHIFT = 1e-4, 8.0, 1e4  # of the diagonal where the second-order condition fails
 
 
@@ -56,6 +54,8 @@ class Iterate(eqx.Module):
     """Added to the (scaled) curvature when last that was needed."""
     error: Scalar
     """Largest of what the conditions of the point before lack, at the final mu; infinite before that."""
+    moved: Scalar
+    """Largest change of a variable by the last step, in typical sizes."""
     steps: Count
     ended: Flag
     """Whether no step can be taken."""
@@ -76,7 +76,7 @@ class Local(eqx.Module):
     """And what belongs to nodes alone."""
     values: Values
     jacobians: Jacobians
-    lack: Point
+    lack: riccati.Side
     """Gradient of the Lagrangian without inequalities, and residuals of the equalities."""
 
 
@@ -87,12 +87,15 @@ class Interior(eqx.Module):
         first: mu to begin with.
         last: mu of the answer.
         tolerance: largest residual of the conditions, in typical sizes of the variables.
+        settled: change of the variables by the last step, in typical sizes: along directions that hardly matter to the
+            cost, the conditions alone would stop too early for derivatives.
         max_steps: Newton steps allowed.
     """
 
     first: float = 1e-3
     last: float = MU
     tolerance: float = 1e-8
+    settled: float = 1e-6
     max_steps: int = eqx.field(default=80, static=True)
 
     def run(
@@ -107,9 +110,12 @@ class Interior(eqx.Module):
         scale = typical_sizes(z)
         start = self.init(problem, z, y, grid)
         start = eqx.tree_at(lambda s: s.ended, start, ~jnp.asarray(wanted))
-        return jax.lax.while_loop(
-            lambda s: ~self.terminate(s), lambda s: self.step(problem, s, grid, scale), start
-        )
+
+        def step(fixed, iterate):
+            problem, grid, scale = fixed
+            return self.step(problem, grid, scale, iterate)
+
+        return lanes.while_loop(lambda s: ~self.terminate(s), step, (problem, grid, scale), start)
 
     def reached(self, iterate: Iterate) -> Flag:
         """Whether an iterate is the optimum."""
@@ -117,7 +123,8 @@ class Interior(eqx.Module):
 
     def terminate(self, iterate: Iterate) -> Flag:
         """Whether the loop is over."""
-        return self.reached(iterate) | iterate.ended | (iterate.steps >= self.max_steps)
+        settled = self.reached(iterate) & (iterate.moved <= self.settled)
+        return settled | iterate.ended | (iterate.steps >= self.max_steps)
 
     def init(
         self,
@@ -142,12 +149,13 @@ class Interior(eqx.Module):
             mu=mu,
             shift=jnp.zeros_like(mu),
             error=jnp.full_like(mu, jnp.inf),
+            moved=jnp.full_like(mu, jnp.inf),
             steps=jnp.zeros((), int),
             ended=jnp.zeros((), bool),
         )
 
     def step(
-        self, problem: OptimalControlProblem, old: Iterate, grid: Grid, scale: Float[Array, "variables"]
+        self, problem: OptimalControlProblem, grid: Grid, scale: Float[Array, "variables"], old: Iterate
     ) -> Iterate:
         """One Newton step."""
         here = local(problem, old.z, old.y, grid)
@@ -155,37 +163,38 @@ class Interior(eqx.Module):
         ready = (error <= 10.0 * old.mu) & (old.mu > self.last)
         mu = jnp.where(ready, jnp.maximum(self.last, jnp.minimum(0.2 * old.mu, old.mu**1.5)), old.mu)
 
-        weigh = weightings(problem, old.slack, old.y.values)
+        weigh = scalings(problem, old.slack, old.y.values)
         factor, shift = _definite(newton_chain(problem, here, weigh, scale), old.shift)
         inverses = tuple(inverse(k, s) for k, s in zip(cones(problem), old.slack, strict=True))
         target = tuple(
-            mu * pole - w(g - s)
+            mu * pole - w.inverse_square(g - s)
             for w, pole, s, g in zip(weigh, inverses, old.slack, here.values, strict=True)
         )
-        gradient = pulled(problem, here.jacobians, target) - here.lack.z
-        right = Point(gradient, -here.lack.flow, -here.lack.initial, -here.lack.final)
-        move = unscaled(riccati.solve(factor, scaled(right, scale)), scale)
+        gradient = pulled(problem, here.jacobians, target) - here.lack.nodes
+        right = riccati.Side(gradient, -here.lack.flow, -here.lack.initial, -here.lack.final)
+        move = scaled(riccati.solve(factor, scaled(right, scale)), scale)
 
-        slopes = along(problem, here.jacobians, move.z)
+        slopes = along(problem, here.jacobians, move.nodes)
         dslack = tuple(slope + g - s for slope, g, s in zip(slopes, here.values, old.slack, strict=True))
         dprices = tuple(
-            mu * pole - y - w(ds)
+            mu * pole - y - w.inverse_square(ds)
             for w, pole, y, ds in zip(weigh, inverses, old.y.values, dslack, strict=True)
         )
         dy = FlightMultipliers(move.flow, move.initial, move.final, dprices)
-        size = jnp.max(jnp.abs(move.z / scale))
+        size = jnp.max(jnp.abs(move.nodes / scale))
         primal = jnp.minimum(_longest(problem, old.slack, dslack), LONGEST / jnp.maximum(size, LONGEST))
         dual = _longest(problem, old.y.values, dprices)
 
         good = factor.definite & jnp.isfinite(size)
         advance = lambda v, dv, t: jax.tree.map(lambda a, b: jnp.where(good, a + t * b, a), v, dv)  # noqa: E731
         return Iterate(
-            z=advance(old.z, move.z, primal),
+            z=advance(old.z, move.nodes, primal),
             y=advance(old.y, dy, dual),
             slack=advance(old.slack, dslack, primal),
             mu=mu,
             shift=shift,
             error=jnp.where(old.mu <= self.last, error, jnp.inf),
+            moved=primal * size,
             steps=old.steps + 1,
             ended=~good,
         )
@@ -200,7 +209,8 @@ def local(
         start_condition(problem, z[0, :n]),
         end_condition(problem, z[-1, :n]),
     )
-    lack = Point(equalities_gradient(problem, z, linear, y), linear.outputs.end - z[1:, :n], at_start, at_end)
+    gradient = equalities_gradient(problem, z, linear, y)
+    lack = riccati.Side(gradient, linear.outputs.end - z[1:, :n], at_start, at_end)
     return Local(
         flow=linear.jacobian.end,
         initial=initial,
@@ -214,46 +224,66 @@ def local(
 
 
 def newton_chain(
-    problem: OptimalControlProblem, here: Local, weigh: Weightings, scale: Float[Array, "variables"]
+    problem: OptimalControlProblem, here: Local, weigh: Scalings, scale: Float[Array, "variables"]
 ) -> riccati.Chain:
-    """Matrix of the Newton system in scaled variables: the Lagrangian's second derivatives, and W^-2 of every cone."""
-    n, stage = problem.state_size, problem.variables
+    """Matrix of the Newton system in scaled variables, inequalities eliminated: the Lagrangian's second derivatives,
+    and W^-2 of every cone."""
     intervals, nodes = here.intervals, here.nodes
-    for weighted, jacobian, nodal in zip(weigh, here.jacobians, at_nodes(problem), strict=True):
-        gram = jnp.einsum("iprw,iprv->iwv", jacobian, jax.vmap(weighted, in_axes=-1, out_axes=-1)(jacobian))
+    for w, jacobian, nodal in zip(weigh, here.jacobians, at_nodes(problem), strict=True):
+        weighted = jax.vmap(w.inverse_square, in_axes=-1, out_axes=-1)(jacobian)
+        gram = jnp.einsum("iprw,iprv->iwv", jacobian, weighted)
         intervals, nodes = (intervals, nodes + gram) if nodal else (intervals + gram, nodes)
-    intervals = intervals.at[:, :stage, :stage].add(nodes[:-1])
+    return lagrangian_chain(
+        problem, eqx.tree_at(lambda h: (h.intervals, h.nodes), here, (intervals, nodes)), scale
+    )
+
+
+def lagrangian_chain(
+    problem: OptimalControlProblem, here: Local, scale: Float[Array, "variables"]
+) -> riccati.Chain:
+    """The Lagrangian's second derivatives in the scaled node variables and the multipliers of the equalities."""
+    n, stage = problem.state_size, problem.variables
+    intervals = here.intervals.at[:, :stage, :stage].add(here.nodes[:-1])
     sizes = stage_sizes(problem, scale)
     return riccati.Chain(
         hessian=intervals * sizes * sizes[:, None],
-        last=nodes[-1] * scale * scale[:, None],
+        last=here.nodes[-1] * scale * scale[:, None],
         flow=here.flow * sizes / scale[:n, None],
         initial=here.initial * scale[:n],
         final=here.final * scale[:n],
     )
 
 
-def weightings(problem: OptimalControlProblem, slack: Values, prices: Values) -> Weightings:
-    """The map v -> W^-2 v of the Nesterov-Todd scaling W of every pair of a slack and its price."""
+class OrthantScaling(eqx.Module):
+    """Nesterov-Todd scaling W of values that are nonnegative: W^2 = s / y."""
+
+    slack: Float[Array, "*b"]
+    price: Float[Array, "*b"]
+
+    def square(self, v: Float[Array, "*b"]) -> Float[Array, "*b"]:
+        """W^2 v."""
+        return v * self.slack / self.price
+
+    def inverse_square(self, v: Float[Array, "*b"]) -> Float[Array, "*b"]:
+        """W^-2 v."""
+        return v * self.price / self.slack
+
+
+def scalings(problem: OptimalControlProblem, slack: Values, prices: Values) -> Scalings:
+    """The Nesterov-Todd scaling of every pair of a slack and its price."""
 
     def one(cone, s, y):
-        if isinstance(cone, SecondOrder):
-            return second_order.second_order_scaling(s, y).inverse_square
-        return lambda v: v * y / s
+        return (
+            second_order.second_order_scaling(s, y) if isinstance(cone, SecondOrder) else OrthantScaling(s, y)
+        )
 
     return tuple(map(one, cones(problem), slack, prices))
 
 
-def scaled(point: Point, scale: Float[Array, "variables"]) -> riccati.Side:
-    """Right-hand side of the system in scaled variables."""
-    return riccati.Side(
-        point.z * scale, point.flow / scale[: point.flow.shape[1]], point.initial, point.final
-    )
-
-
-def unscaled(found: riccati.Side, scale: Float[Array, "variables"]) -> Point:
-    """The unknowns that the scaled ones stand for."""
-    return Point(found.nodes * scale, found.flow / scale[: found.flow.shape[1]], found.initial, found.final)
+def scaled(side: riccati.Side, scale: Float[Array, "variables"]) -> riccati.Side:
+    """Right-hand side of the system in scaled variables, from one in the variables' own units; and the unknowns in
+    their own units, from scaled ones."""
+    return riccati.Side(side.nodes * scale, side.flow / scale[: side.flow.shape[1]], side.initial, side.final)
 
 
 def _ends_hessians(problem: OptimalControlProblem, z: Float[Array, "nodes variables"], y: FlightMultipliers):
@@ -304,7 +334,7 @@ def _definite(chain: riccati.Chain, last: Scalar) -> tuple[riccati.Factor, Scala
 def _error(
     problem: OptimalControlProblem, at: Iterate, here: Local, scale: Float[Array, "variables"]
 ) -> Scalar:
-    dual = (here.lack.z - pulled(problem, here.jacobians, at.y.values)) * scale
+    dual = (here.lack.nodes - pulled(problem, here.jacobians, at.y.values)) * scale
     apart = [g - s for g, s in zip(here.values, at.slack, strict=True)]
     pairs = [
         (second_order.jordan_product(s, y) if isinstance(k, SecondOrder) else s * y)

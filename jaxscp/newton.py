@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxscp import central_path
+from jaxscp import lanes
 from jaxscp.active_set import ActiveSet, active_set, near_limits, nearest_dilation_limit, slacks
 from jaxscp.central_path import Point
 from jaxscp.conic.interior_point import InteriorPoint
@@ -149,13 +149,9 @@ class NewtonSCP(eqx.Module):
 
     def answer(self, problem: OptimalControlProblem, state: NewtonState) -> Answer:
         """The end, as a function of the problem."""
-        y = state.multipliers
-        found = Point(state.z, y.flow, y.initial, y.final)
-        point = follow(problem, found, self.grid, state.reached)
+        point = follow(problem, Point(state.z, state.multipliers), self.grid, state.reached)
         cost = jnp.sum(evaluate(problem, point.z, self.grid).cost) + terminal_cost(problem, point.z)
-        own = central_path.multipliers(problem, point, self.grid)
-        own = jax.tree.map(lambda a, b: jnp.where(state.reached, a, b), own, y)
-        return Answer(point.z, cost, own, state.reached, state.newton_steps)
+        return Answer(point.z, cost, point.y, state.reached, state.newton_steps)
 
     def optimality(self, problem: OptimalControlProblem, state: NewtonState) -> Scalar:
         """How far the end is from a point of Karush, Kuhn and Tucker, by the judge's own linearisation."""
@@ -304,13 +300,16 @@ class NewtonSCP(eqx.Module):
         start = eqx.tree_at(lambda s: s.done, start, ~jnp.asarray(wanted))
 
         def attempt(state, slack):
-            state = jax.lax.while_loop(
-                lambda s: ~self.terminate(s), lambda s: self.step(problem, s, slack), state
+            state = lanes.while_loop(
+                lambda s: ~self.terminate(s),
+                lambda fixed, s: self.step(fixed[0], s, fixed[1]),
+                (problem, slack),
+                state,
             )
             return self.finish(problem, state), None
 
         end, _ = jax.lax.scan(attempt, start, jnp.array(SLACK))
-        return jax.lax.cond(end.reached, lambda s: s, lambda s: self.polish(problem, s), end)
+        return lanes.where_needed(~end.reached, self.polish, problem, end)
 
     def finish(self, problem: OptimalControlProblem, state: NewtonState) -> NewtonState:
         """The optimum that the iterates are near, if Newton's method gets there from here."""

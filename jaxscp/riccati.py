@@ -114,12 +114,13 @@ def solve(factor: Factor, right: Side) -> Side:
 
     def refine(_, x):
         rest = jax.tree.map(jnp.subtract, right, apply(factor.chain, x))
-        return jax.tree.map(jnp.add, x, _solve_once(factor, rest))
+        return jax.tree.map(jnp.add, x, solve_once(factor, rest))
 
     return jax.lax.fori_loop(0, 1 + REFINEMENTS, refine, jax.tree.map(jnp.zeros_like, right))
 
 
-def _solve_once(factor: Factor, right: Side) -> Side:
+def solve_once(factor: Factor, right: Side) -> Side:
+    """Solve but for the penalties of the ends and for rounding."""
     chain = factor.chain
     states, stage = chain.flow.shape[1], chain.last.shape[0]
 

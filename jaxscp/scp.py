@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from jaxscp import lanes
 from jaxscp.conic.interior_point import InteriorPoint
 from jaxscp.conic.program import ConicSolution, StagedProgram
 from jaxscp.convexify import NormTrustRegion, TrustRegion, convexify
@@ -178,9 +179,7 @@ class SCP(eqx.Module):
         """Iterate from an initial guess to the end; not at all for a lane that is not wanted."""
         start = self.init(problem, z)
         start = eqx.tree_at(lambda s: s.done, start, ~jnp.asarray(wanted))
-        return jax.lax.while_loop(
-            lambda state: ~self.terminate(state), lambda state: self.step(problem, state), start
-        )
+        return lanes.while_loop(lambda state: ~self.terminate(state), self.step, problem, start)
 
 
 def largest_defect(

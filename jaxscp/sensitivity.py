@@ -1,9 +1,11 @@
 """Derivatives of a plan by the implicit function theorem, never by unrolling the iterations.
 
 At the optimum the gradient of the barrier's Lagrangian is zero (``central_path.conditions``), so that a small change of
-the problem moves it by minus the inverse of the conditions' matrix times their own change. The matrix is that of the
-last Newton step (``interior.newton_chain``): symmetric, factored once by ``riccati``, and used in forward mode as it
-stands, in reverse mode as its own transpose.
+the problem moves it by minus the inverse of the conditions' matrix times their own change. The matrix is symmetric:
+used in forward mode as it stands, in reverse mode as its own transpose. With the prices of inequalities eliminated it
+is that of the last Newton step (``interior.newton_chain``), factored once by ``riccati``. But next to the weights of what
+is active, 1e12 and more, rounding leaves little of a soft direction's curvature; so the factor only preconditions the
+whole system, which knows no such numbers.
 
 The theorem needs a strict minimum, which the recursion notices where it fails. Weakly active constraints, and several
 that say the same, do no harm: at a small mu, the derivative is that of the smooth path next to them.
@@ -14,15 +16,22 @@ import functools
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+from jax.scipy.sparse.linalg import gmres
+from jaxtyping import Array, Float
 
-from jaxscp import riccati
-from jaxscp.central_path import Point, conditions, multipliers
+from jaxscp import lanes, riccati
+from jaxscp.central_path import MU, Point, conditions, inverse
 from jaxscp.implicit import symmetric_solve
-from jaxscp.interior import local, newton_chain, scaled, unscaled, weightings
+from jaxscp.inequalities import Jacobians, Values, cones, pulled, unit
+from jaxscp.interior import Scalings, along, lagrangian_chain, local, newton_chain, scaled, scalings
 from jaxscp.intervals import Grid
+from jaxscp.lagrangian import FlightMultipliers
 from jaxscp.problem import OptimalControlProblem, typical_sizes
 from jaxscp.types import Flag
+
+STEPS, RESTARTS = 6, 2  # of GMRES
+TOLERANCE = 1e-13  # of its residual, relative
+Unknowns = tuple[riccati.Side, Values]
 
 
 def follow(problem: OptimalControlProblem, point: Point, grid: Grid, reached: Flag) -> Point:
@@ -49,14 +58,24 @@ def _moved(grid: Grid, primals, tangents):
     from jaxopt import implicit_diff  # here, since few programs ask for a derivative and it is slow to import
 
     floats, rest, point, reached = primals
+    inner = _inside(eqx.combine(floats, rest), point, reached)
 
     def residual(point, floats):
         return conditions(eqx.combine(floats, rest), point, grid)
 
     def solve(_, right):
-        return _solve(eqx.combine(floats, rest), point, grid, reached, right)
+        return _solve(eqx.combine(floats, rest), inner, grid, reached, right)
 
-    return point, implicit_diff.root_jvp(residual, point, (floats,), tangents[:1], solve=solve)
+    return point, implicit_diff.root_jvp(residual, inner, (floats,), tangents[:1], solve=solve)
+
+
+def _inside(problem: OptimalControlProblem, point: Point, reached: Flag) -> Point:
+    """The point, with prices inside their cones also where it is no optimum: what is masked must be finite."""
+    prices = tuple(
+        jnp.where(reached, y, jnp.broadcast_to(unit(cone, y.shape[-1]), y.shape))
+        for cone, y in zip(cones(problem), point.y.values, strict=True)
+    )
+    return eqx.tree_at(lambda p: p.y.values, point, prices)
 
 
 @jax.custom_jvp
@@ -73,26 +92,84 @@ def _refuse(primals, tangents):
     )
 
 
+class System(eqx.Module):
+    """Matrix of the conditions' derivatives: [H A' -J'; A 0 0; -J 0 -W^2] over scaled node variables, multipliers of
+    the equalities, and prices."""
+
+    lagrangian: riccati.Chain
+    """H and A."""
+    jacobians: Jacobians
+    """J, in the variables' own units."""
+    scalings: Scalings
+    """W."""
+    scale: Float[Array, "variables"]
+    reduced: riccati.Factor
+    """Of H + J' W^-2 J and A."""
+
+    def apply(self, problem: OptimalControlProblem, x: Unknowns) -> Unknowns:
+        """Times a vector."""
+        side, y = x
+        out = riccati.apply(self.lagrangian, side)
+        nodes = out.nodes - self.scale * pulled(problem, self.jacobians, y)
+        slopes = along(problem, self.jacobians, self.scale * side.nodes)
+        rows = tuple(-slope - w.square(v) for slope, w, v in zip(slopes, self.scalings, y, strict=True))
+        return eqx.tree_at(lambda s: s.nodes, out, nodes), rows
+
+    def solve(self, problem: OptimalControlProblem, right: Unknowns) -> Unknowns:
+        """For one right-hand side. Few directions are far from what the factor says of them, so that a few of GMRES's
+        steps do what refinement would need fifty for."""
+        found, _ = gmres(
+            lambda x: self.apply(problem, x),
+            right,
+            M=lambda x: self._eliminated(problem, x),
+            solve_method="incremental",
+            tol=TOLERANCE,
+            restart=STEPS,
+            maxiter=RESTARTS,
+        )
+        return found
+
+    def _eliminated(self, problem: OptimalControlProblem, right: Unknowns) -> Unknowns:
+        """By the factor: y = -W^-2 (right_y + J z)."""
+        side, rows = right
+        weighted = tuple(w.inverse_square(r) for w, r in zip(self.scalings, rows, strict=True))
+        nodes = side.nodes - self.scale * pulled(problem, self.jacobians, weighted)
+        found = riccati.solve_once(self.reduced, eqx.tree_at(lambda s: s.nodes, side, nodes))
+        slopes = along(problem, self.jacobians, self.scale * found.nodes)
+        y = tuple(-w.inverse_square(r + v) for w, r, v in zip(self.scalings, rows, slopes, strict=True))
+        return found, y
+
+
 def _solve(problem: OptimalControlProblem, point: Point, grid: Grid, reached: Flag, right: Point) -> Point:
-    """Solve with the matrix of the conditions' derivatives."""
-    build = lambda: _matrix(problem, point, grid)  # noqa: E731
-    shapes = jax.eval_shape(build)
-    # A branch, though all lanes of a batch take both: XLA sets its memory aside only while it runs.
-    factor = jax.lax.cond(reached, build, lambda: jax.tree.map(lambda v: jnp.zeros(v.shape, v.dtype), shapes))
-    scale = typical_sizes(point.z)
-    found = symmetric_solve(
-        lambda v: riccati.apply(factor.chain, v),
-        lambda v: riccati.solve(factor, v),
-        scaled(right, scale),
-        reached & factor.definite,
-    )
-    return unscaled(found, scale)
+    """Solve with the matrix of the conditions' derivatives; of a batch, the lanes that have one."""
+    build = lambda fixed, _: _system(*fixed, grid)  # noqa: E731
+    shapes = jax.eval_shape(build, (problem, point), None)
+    blank = jax.tree.map(lambda v: jnp.zeros(v.shape, v.dtype), shapes)
+    system = lanes.where_needed(reached, build, (problem, point), blank)
+    defined = reached & system.reduced.definite
+
+    def solve(right):
+        act = lambda fixed, _: fixed[1].solve(fixed[0], fixed[2])  # noqa: E731
+        nothing = jax.tree.map(jnp.zeros_like, right)
+        return lanes.where_needed(defined, act, (problem, system, right), nothing)
+
+    y = right.y
+    side = scaled(riccati.Side(right.z, y.flow, y.initial, y.final), system.scale)
+    side, prices = symmetric_solve(lambda v: system.apply(problem, v), solve, (side, y.values), defined)
+    side = scaled(side, system.scale)
+    return Point(side.nodes, FlightMultipliers(side.flow, side.initial, side.final, prices))
 
 
 @functools.partial(jax.jit, static_argnums=2)
-def _matrix(problem: OptimalControlProblem, point: Point, grid: Grid) -> riccati.Factor:
+def _system(problem: OptimalControlProblem, point: Point, grid: Grid) -> System:
     """The matrix, factored."""
-    y = multipliers(problem, point, grid)
-    here = local(problem, point.z, y, grid)
-    weigh = weightings(problem, here.values, y.values)
-    return riccati.factor(newton_chain(problem, here, weigh, typical_sizes(point.z)))
+    here, scale = local(problem, point.z, point.y, grid), typical_sizes(point.z)
+    slack = tuple(MU * inverse(cone, y) for cone, y in zip(cones(problem), point.y.values, strict=True))
+    weigh = scalings(problem, slack, point.y.values)
+    return System(
+        lagrangian=lagrangian_chain(problem, here, scale),
+        jacobians=here.jacobians,
+        scalings=weigh,
+        scale=scale,
+        reduced=riccati.factor(newton_chain(problem, here, weigh, scale)),
+    )

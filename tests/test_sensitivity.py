@@ -58,7 +58,7 @@ def flight():
 def test_the_answer_is_a_root_of_the_conditions(flight):
     _, ((_, (problem, _, answer)), _), _ = flight
     assert bool(answer.reached)
-    point = Point(answer.z, answer.multipliers.flow, answer.multipliers.initial, answer.multipliers.final)
+    point = Point(answer.z, answer.multipliers)
     lack = jax.jit(lambda p, v: conditions(p, v, NewtonSCP().grid))(problem, point)
     assert max(float(jnp.max(jnp.abs(v))) for v in jax.tree.leaves(lack)) < RESIDUAL
 

@@ -19,7 +19,6 @@ from benchmarks.speed.arithmetic import flops, flops_of_loop
 from benchmarks.speed.timing import Ceiling, Loop, ceiling, least_seconds
 from jaxscp import SCP, LandingScenario, NewtonSCP, Planner, riccati
 from jaxscp.active_set import active_set, slacks
-from jaxscp.central_path import Point
 from jaxscp.certificate import certify
 from jaxscp.conic import cones, kkt
 from jaxscp.conic.equilibrate import equilibrate
@@ -28,7 +27,7 @@ from jaxscp.correction import corrected
 from jaxscp.curvature import Chain, condensed, projected
 from jaxscp.discretise import discretise
 from jaxscp.expansion import expand
-from jaxscp.interior import local, newton_chain, scaled, weightings
+from jaxscp.interior import local, newton_chain, scaled, scalings
 from jaxscp.intervals import evaluate
 from jaxscp.lagrangian import residual
 from jaxscp.lifted import lifted_links, lifted_program, stage_sizes
@@ -229,17 +228,16 @@ def _interior_pieces(pieces: Pieces, method: NewtonSCP, problem: Any, solution: 
     interior, grid, z, y = method.interior, method.grid, solution.z, solution.multipliers
     steps, sizes = int(solution.newton_steps), typical_sizes(solution.z)
     start = jax.jit(lambda p, z, y: interior.init(p, z, y, grid))(problem, z, y)
-    pieces.time("interior: Newton step", steps, lambda p, s: interior.step(p, s, grid, sizes), problem, start)
+    pieces.time("interior: Newton step", steps, lambda p, s: interior.step(p, grid, sizes, s), problem, start)
     inside = functools.partial(pieces.time, inside=True)
     here = inside("the problem to second order", steps, lambda p, z, y: local(p, z, y, grid), problem, z, y)
 
     def matrix(problem, here, start):
-        return newton_chain(problem, here, weightings(problem, start.slack, start.y.values), sizes)
+        return newton_chain(problem, here, scalings(problem, start.slack, start.y.values), sizes)
 
     chain = inside("matrix", steps, matrix, problem, here, start)
     factor = inside("factor", steps, riccati.factor, chain)
-    right = scaled(Point(here.lack.z, here.lack.flow, here.lack.initial, here.lack.final), sizes)
-    inside("back-solve", steps, riccati.solve, factor, right)
+    inside("back-solve", steps, riccati.solve, factor, scaled(here.lack, sizes))
     ended = jax.jit(method.init)(problem, z)
     pieces.time("polish", 1, method.polish, problem, ended)
     ended = eqx.tree_at(lambda s: s.multipliers, ended, y)

@@ -1,0 +1,133 @@
+"""Loops over a batch whose lanes end at different times.
+
+``jax.vmap`` of ``jax.lax.while_loop`` steps every lane until the last one ends. Of thousands of plans most need six
+subproblems and a few need sixty, so that nine tenths of that work is thrown away. Here a batch is stepped in rounds:
+the lanes that have not ended are gathered, stepped a tile at a time, and put back. What a lane computes is the same.
+"""
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.custom_batching import custom_vmap
+
+from jaxscp.types import Flag
+
+State = TypeVar("State")
+
+# Lanes stepped at once: few, so that little work is wasted on those that have ended in a tile; but enough for the
+# device, which a smaller tile keeps busy no less long.
+TILE = {"cpu": 8}
+TILE_ELSEWHERE = 256
+
+
+def while_loop(
+    unfinished: Callable[[State], Flag], step: Callable[[Any, State], State], fixed: Any, state: State
+) -> State:
+    """``jax.lax.while_loop``; under ``vmap``, in rounds over the lanes that are not finished.
+
+    It has no derivative: keep those of ``fixed`` and ``state`` away by ``jax.lax.stop_gradient``.
+
+    Args:
+        unfinished: whether a state is to be stepped.
+        step: from ``fixed`` and a state to the next; closes over no array.
+        fixed: any pytree that stays as it is.
+        state: a pytree of arrays, to begin with.
+    """
+    arrays, rest = eqx.partition(fixed, eqx.is_array)
+    once = jax.jit(
+        lambda arrays, state: step(eqx.combine(arrays, rest), state)
+    )  # traced once for all uses below
+
+    @custom_vmap
+    def loop(arrays, state):
+        return jax.lax.while_loop(unfinished, lambda s: once(arrays, s), state)
+
+    @loop.def_vmap
+    def _(lanes, batched, arrays, state):
+        own, begun = batched
+        states = jax.tree.map(lambda v, b: v if b else _repeat(v, lanes), state, begun)
+        every = jax.tree.map(int, own)
+        return _all(_many(unfinished, once, lanes, every)(arrays, states))
+
+    return loop(arrays, state)
+
+
+def where_needed(needed: Flag, act: Callable[[Any, State], State], fixed: Any, state: State) -> State:
+    """``act(fixed, state)`` where that is needed, else the state; under ``vmap`` the other lanes cost nothing."""
+    end, _ = while_loop(
+        lambda s: s[1], lambda fixed, s: (act(fixed, s[0]), jnp.zeros_like(s[1])), fixed, (state, needed)
+    )
+    return end
+
+
+def _many(unfinished, step, lanes: int, every):
+    """The loop for a batch. Under another ``vmap``, that of one larger batch.
+
+    Args:
+        unfinished: of one lane's state.
+        step: of one lane.
+        lanes: how many.
+        every: of each of the arrays that stay, how many lanes in a row share an entry of its leading axis, which is run
+            through again when it ends; zero where all share the array.
+    """
+
+    @custom_vmap
+    def loop(arrays, states):
+        return _in_rounds(unfinished, step, lanes, every, arrays, states)
+
+    @loop.def_vmap
+    def _(batches, batched, arrays, states):
+        merge = lambda v: v.reshape(batches * v.shape[1], *v.shape[2:])  # noqa: E731
+        split = lambda v: v.reshape(batches, lanes, *v.shape[1:])  # noqa: E731
+
+        def merged(v, outer, inner):
+            if not outer:
+                return v, inner
+            if not inner:
+                return v, lanes
+            times = lanes // (inner * v.shape[1])  # that the inner batch runs through it
+            return merge(jnp.tile(v, (1, times) + (1,) * (v.ndim - 2))), inner
+
+        pairs = jax.tree.map(merged, arrays, batched[0], every)
+        arrays, shared = (jax.tree.map(lambda _, p, k=k: p[k], arrays, pairs) for k in range(2))
+        states = jax.tree.map(lambda v, outer: merge(v if outer else _repeat(v, batches)), states, batched[1])
+        return _all(jax.tree.map(split, _many(unfinished, step, batches * lanes, shared)(arrays, states)))
+
+    return loop
+
+
+def _repeat(v, times: int):
+    return jnp.broadcast_to(v, (times, *jnp.shape(v)))
+
+
+def _all(end):
+    """With what ``custom_vmap`` asks for: every leaf is batched."""
+    return end, jax.tree.map(lambda _: True, end)
+
+
+def _in_rounds(unfinished, step, lanes: int, every, arrays, states):
+    """Step the lanes that are not finished, tile by tile, until there are none."""
+    tile = min(lanes, TILE.get(jax.default_backend(), TILE_ELSEWHERE))
+    axes = jax.tree.map(lambda k: 0 if k else None, every)
+
+    def one_tile(i, order, states):
+        index = jax.lax.dynamic_slice(order, (i * tile,), (tile,))
+        entries = lambda v, k: v[(index // k) % v.shape[0]] if k else v  # noqa: E731
+        fixed = jax.tree.map(entries, arrays, every)
+        new = jax.vmap(step, in_axes=(axes, 0))(fixed, jax.tree.map(lambda v: entries(v, 1), states))
+        return jax.tree.map(lambda v, part: v.at[index].set(part, mode="drop"), states, new)
+
+    def one_round(states):
+        going = jax.vmap(unfinished)(states)
+        order = jnp.argsort(~going, stable=True)
+        order = jnp.where(
+            going[order], order, lanes
+        )  # no lane: out of bounds, read as another and never written
+        order = jnp.pad(order, (0, -lanes % tile), constant_values=lanes)
+        tiles = (jnp.sum(going) + tile - 1) // tile
+        return jax.lax.fori_loop(0, tiles, lambda i, s: one_tile(i, order, s), states)
+
+    return jax.lax.while_loop(lambda s: jnp.any(jax.vmap(unfinished)(s)), one_round, states)

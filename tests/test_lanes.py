@@ -1,0 +1,101 @@
+"""Loops in rounds: every lane ends where it would alone, and no lane is stepped once it has ended."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from jaxscp import lanes
+from jaxscp.lanes import TILE
+
+ROUNDING = 1e-14  # relative: a batch may fuse a product and a sum that one lane does not
+LARGEST = 3 * TILE["cpu"] + 5  # lanes: several tiles, and one that is not full
+
+
+def grow(factor, shift, times, start):
+    """``times`` steps of v -> factor v + shift."""
+
+    def step(fixed, state):
+        left, v = state
+        return left - 1, fixed["factor"] * v + fixed["shift"]
+
+    fixed = {"factor": factor, "shift": shift, "name": "no array"}
+    return lanes.while_loop(lambda state: state[0] > 0, step, fixed, (times, start))
+
+
+def by_hand(factor, shift, times, start):
+    v = np.array(start)
+    for _ in range(int(times)):
+        v = factor * v + shift
+    return v
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.lists(st.integers(0, 30), min_size=1, max_size=LARGEST))
+def test_every_lane_ends_where_it_would_alone(counts):
+    times = jnp.zeros(LARGEST, int).at[: len(counts)].set(jnp.array(counts))  # one shape, one compilation
+    factor, start = jnp.linspace(0.9, 1.1, LARGEST), jnp.arange(LARGEST * 2.0).reshape(-1, 2)
+    left, v = BATCHED(factor, 0.1, times, start)
+    np.testing.assert_array_equal(left, 0)
+    for i in range(LARGEST):
+        np.testing.assert_allclose(v[i], by_hand(factor[i], 0.1, times[i], start[i]), rtol=ROUNDING)
+
+
+BATCHED = jax.jit(jax.vmap(grow, in_axes=(0, None, 0, 0)))
+
+
+def test_a_batch_of_batches_is_one_larger_batch():
+    times, factor = jnp.arange(7), jnp.linspace(0.8, 1.2, 5)
+    both = jax.vmap(jax.vmap(grow, in_axes=(None, None, 0, None)), in_axes=(0, None, None, 0))
+    start = jnp.arange(10.0).reshape(5, 2)
+    _, v = both(factor, 0.5, times, start)
+    for i, j in np.ndindex(5, 7):
+        np.testing.assert_allclose(v[i, j], by_hand(factor[i], 0.5, times[j], start[i]), rtol=ROUNDING)
+
+
+def test_a_lane_that_has_ended_is_not_stepped_again():
+    def step(_, state):
+        return state[0] - 1, jnp.where(state[0] > 0, state[1], jnp.nan)  # a step too many would show
+
+    run = jax.vmap(lambda times: lanes.while_loop(lambda s: s[0] > 0, step, None, (times, jnp.ones(()))))
+    np.testing.assert_array_equal(run(jnp.array([0, 1, 17, 3]))[1], 1.0)
+
+
+@pytest.mark.parametrize("batched", [False, True])
+def test_what_is_not_needed_is_left_as_it_is(batched):
+    act = lambda fixed, v: v + fixed  # noqa: E731
+    one = lambda needed, v: lanes.where_needed(needed, act, jnp.ones(()), v)  # noqa: E731
+    needed, values = jnp.array([True, False, True]), jnp.array([1.0, 2.0, jnp.nan])
+    if batched:
+        np.testing.assert_array_equal(jax.vmap(one)(needed, values), [2.0, 2.0, np.nan])
+    else:
+        np.testing.assert_array_equal(
+            [one(n, v) for n, v in zip(needed, values, strict=True)], [2.0, 2.0, np.nan]
+        )
+
+
+def test_gradients_go_round_it():
+    def end(x):
+        frozen = jax.lax.stop_gradient(x)
+        return x * grow(1.0, 0.0, jnp.asarray(3), frozen)[1]
+
+    np.testing.assert_allclose(jax.vmap(jax.grad(end))(jnp.array([2.0, 5.0])), [2.0, 5.0])
+
+
+def test_batches_share_what_is_not_their_own():
+    """Three axes, each with an array of its own, and one that two of them index."""
+
+    def one(a, b, c, times):
+        step = lambda fixed, s: (s[0] - 1, fixed[0] * s[1] + fixed[1] * fixed[2])  # noqa: E731
+        return lanes.while_loop(lambda s: s[0] > 0, step, (a, b, c), (times, jnp.ones(())))[1]
+
+    a, b, c = jnp.linspace(0.5, 0.9, 2), jnp.arange(3.0), jnp.arange(12.0).reshape(4, 3) + 1.0
+    times = jnp.arange(6).reshape(2, 3)
+    rows = jax.vmap(one, in_axes=(None, 0, 0, 0))  # b, c and times along their last axis
+    planes = jax.vmap(rows, in_axes=(0, None, None, 0))  # a and times
+    found = jax.vmap(planes, in_axes=(None, None, 0, None))(a, b, c, times)
+    for k, i, j in np.ndindex(4, 2, 3):
+        wanted = by_hand(float(a[i]), float(b[j] * c[k, j]), times[i, j], 1.0)
+        np.testing.assert_allclose(found[k, i, j], wanted, rtol=ROUNDING)
