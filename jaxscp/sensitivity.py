@@ -3,9 +3,9 @@
 At the optimum the gradient of the barrier's Lagrangian is zero (``central_path.conditions``), so that a small change of
 the problem moves it by minus the inverse of the conditions' matrix times their own change. The matrix is symmetric:
 used in forward mode as it stands, in reverse mode as its own transpose. With the prices of inequalities eliminated it
-is that of the last Newton step (``interior.newton_chain``), factored once by ``riccati``. But next to the weights of what
-is active, 1e12 and more, rounding leaves little of a soft direction's curvature; so the factor only preconditions the
-whole system, which knows no such numbers.
+is that of the last Newton step (``interior.newton_chain``), factored once by ``riccati``. But next to the weights of
+what is active, 1e12 and more, rounding leaves little of a soft direction's curvature; so the factor only preconditions
+the whole system, which knows no such numbers.
 
 The theorem needs a strict minimum, which the recursion notices where it fails. Weakly active constraints, and several
 that say the same, do no harm: at a small mu, the derivative is that of the smooth path next to them.
