@@ -144,7 +144,7 @@ def _solve(problem: OptimalControlProblem, point: Point, grid: Grid, reached: Fl
     """Solve with the matrix of the conditions' derivatives; of a batch, the lanes that have one."""
     build = lambda fixed, _: _system(*fixed, grid)  # noqa: E731
     shapes = jax.eval_shape(build, (problem, point), None)
-    blank = jax.tree.map(lambda v: jnp.zeros(v.shape, v.dtype), shapes)
+    blank = jax.tree.map(lambda v: jnp.ones(v.shape, v.dtype), shapes)  # not zeros: one divides by the scale
     system = lanes.where_needed(reached, build, (problem, point), blank)
     defined = reached & system.reduced.definite
 
