@@ -16,12 +16,12 @@ import functools
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
 from jax.scipy.sparse.linalg import gmres
 from jaxtyping import Array, Float
 
 from jaxscp import lanes, riccati
-from jaxscp.central_path import MU, Point, conditions, inverse
-from jaxscp.implicit import symmetric_solve
+from jaxscp.central_path import MU, Point, conditions, inverse, lagrangian
 from jaxscp.inequalities import Jacobians, Values, cones, pulled, unit
 from jaxscp.interior import Scalings, along, lagrangian_chain, local, newton_chain, scaled, scalings
 from jaxscp.intervals import Grid
@@ -55,18 +55,62 @@ def _optimum(grid: Grid, floats, rest, point: Point, reached: Flag) -> Point:
 
 @_optimum.defjvp
 def _moved(grid: Grid, primals, tangents):
-    from jaxopt import implicit_diff  # here, since few programs ask for a derivative and it is slow to import
-
     floats, rest, point, reached = primals
-    inner = _inside(eqx.combine(floats, rest), point, reached)
+    problem = eqx.combine(floats, rest)
+    inner = _inside(problem, point, reached)
+    return point, _change(problem, inner, grid, reached, tangents[0])
 
-    def residual(point, floats):
-        return conditions(eqx.combine(floats, rest), point, grid)
 
-    def solve(_, right):
-        return _solve(eqx.combine(floats, rest), inner, grid, reached, right)
+def _change(problem: OptimalControlProblem, point: Point, grid: Grid, reached: Flag, change) -> Point:
+    """Of the optimum with the problem's floats: minus the inverse of the conditions' matrix A times their own change
+    B. As one linear system, [1 0; B A] (f, p) = (change, 0), whose solution and that of its transpose are stated: for a
+    batch, lanes that have none then cost nothing, and the rest no more memory than a tile of them needs."""
+    build = lambda fixed, _: _system(*fixed, grid)  # noqa: E731
+    shapes = jax.eval_shape(build, (problem, point), None)
+    blank = jax.tree.map(lambda v: jnp.zeros(v.shape, v.dtype), shapes)
+    system = lanes.where_needed(reached, build, (problem, point), blank)
+    defined = reached & system.reduced.definite
+    right, unravel = ravel_pytree((change, jax.tree.map(jnp.zeros_like, point)))
 
-    return point, implicit_diff.root_jvp(residual, inner, (floats,), tangents[:1], solve=solve)
+    def of_conditions(problem, point, change, move):
+        floats, rest = eqx.partition(problem, eqx.is_inexact_array)
+        value = lambda floats, point: conditions(eqx.combine(floats, rest), point, grid)  # noqa: E731
+        return jax.jvp(value, (floats, point), (change, move))[1]
+
+    def forward(fixed, pair):
+        problem, point, system = fixed
+        change, owed = pair
+        nothing = jax.tree.map(jnp.zeros_like, point)
+        caused = of_conditions(problem, point, change, nothing)
+        return change, system.solve(problem, jax.tree.map(jnp.subtract, owed, caused))
+
+    def backward(fixed, pair):
+        problem, point, system = fixed
+        weights, asked = pair
+        price = system.solve(problem, asked)
+        floats, rest = eqx.partition(problem, eqx.is_inexact_array)
+
+        def along(
+            floats,
+        ):  # its gradient is that of price . conditions, and one sweep through the flight cheaper
+            return jax.jvp(lambda p: lagrangian(eqx.combine(floats, rest), p, grid), (point,), (price,))[1]
+
+        return jax.tree.map(jnp.subtract, weights, jax.grad(along)(floats)), price
+
+    def solution(act):
+        def solve(_, flat):
+            acted, _ = ravel_pytree(lanes.where_needed(defined, act, (problem, point, system), unravel(flat)))
+            lost = jnp.any(flat != 0) & ~defined
+            return jnp.where(defined, acted, jnp.where(lost, jnp.nan, jnp.zeros_like(flat)))
+
+        return solve
+
+    def matrix(flat):
+        change, move = unravel(flat)
+        return ravel_pytree((change, of_conditions(problem, point, change, move)))[0]
+
+    found = jax.lax.custom_linear_solve(matrix, right, solution(forward), solution(backward))
+    return unravel(found)[1]
 
 
 def _inside(problem: OptimalControlProblem, point: Point, reached: Flag) -> Point:
@@ -106,7 +150,24 @@ class System(eqx.Module):
     reduced: riccati.Factor
     """Of H + J' W^-2 J and A."""
 
-    def apply(self, problem: OptimalControlProblem, x: Unknowns) -> Unknowns:
+    def solve(self, problem: OptimalControlProblem, right: Point) -> Point:
+        """For one right-hand side. Few directions are far from what the factor says of them, so that a few of GMRES's
+        steps do what refinement would need fifty for."""
+        y = right.y
+        side = scaled(riccati.Side(right.z, y.flow, y.initial, y.final), self.scale)
+        (side, prices), _ = gmres(
+            lambda x: self._apply(problem, x),
+            (side, y.values),
+            M=lambda x: self._eliminated(problem, x),
+            solve_method="incremental",
+            tol=TOLERANCE,
+            restart=STEPS,
+            maxiter=RESTARTS,
+        )
+        side = scaled(side, self.scale)
+        return Point(side.nodes, FlightMultipliers(side.flow, side.initial, side.final, prices))
+
+    def _apply(self, problem: OptimalControlProblem, x: Unknowns) -> Unknowns:
         """Times a vector."""
         side, y = x
         out = riccati.apply(self.lagrangian, side)
@@ -114,20 +175,6 @@ class System(eqx.Module):
         slopes = along(problem, self.jacobians, self.scale * side.nodes)
         rows = tuple(-slope - w.square(v) for slope, w, v in zip(slopes, self.scalings, y, strict=True))
         return eqx.tree_at(lambda s: s.nodes, out, nodes), rows
-
-    def solve(self, problem: OptimalControlProblem, right: Unknowns) -> Unknowns:
-        """For one right-hand side. Few directions are far from what the factor says of them, so that a few of GMRES's
-        steps do what refinement would need fifty for."""
-        found, _ = gmres(
-            lambda x: self.apply(problem, x),
-            right,
-            M=lambda x: self._eliminated(problem, x),
-            solve_method="incremental",
-            tol=TOLERANCE,
-            restart=STEPS,
-            maxiter=RESTARTS,
-        )
-        return found
 
     def _eliminated(self, problem: OptimalControlProblem, right: Unknowns) -> Unknowns:
         """By the factor: y = -W^-2 (right_y + J z)."""
@@ -138,26 +185,6 @@ class System(eqx.Module):
         slopes = along(problem, self.jacobians, self.scale * found.nodes)
         y = tuple(-w.inverse_square(r + v) for w, r, v in zip(self.scalings, rows, slopes, strict=True))
         return found, y
-
-
-def _solve(problem: OptimalControlProblem, point: Point, grid: Grid, reached: Flag, right: Point) -> Point:
-    """Solve with the matrix of the conditions' derivatives; of a batch, the lanes that have one."""
-    build = lambda fixed, _: _system(*fixed, grid)  # noqa: E731
-    shapes = jax.eval_shape(build, (problem, point), None)
-    blank = jax.tree.map(lambda v: jnp.ones(v.shape, v.dtype), shapes)  # not zeros: one divides by the scale
-    system = lanes.where_needed(reached, build, (problem, point), blank)
-    defined = reached & system.reduced.definite
-
-    def solve(right):
-        act = lambda fixed, _: fixed[1].solve(fixed[0], fixed[2])  # noqa: E731
-        nothing = jax.tree.map(jnp.zeros_like, right)
-        return lanes.where_needed(defined, act, (problem, system, right), nothing)
-
-    y = right.y
-    side = scaled(riccati.Side(right.z, y.flow, y.initial, y.final), system.scale)
-    side, prices = symmetric_solve(lambda v: system.apply(problem, v), solve, (side, y.values), defined)
-    side = scaled(side, system.scale)
-    return Point(side.nodes, FlightMultipliers(side.flow, side.initial, side.final, prices))
 
 
 @functools.partial(jax.jit, static_argnums=2)

@@ -27,11 +27,11 @@ from jaxscp.conic.augmented import System, Unknowns, factorise
 from jaxscp.conic.central_path import centre, conditions, lagrangian
 from jaxscp.conic.cones import ConeVector, tree_axpy
 from jaxscp.conic.equilibrate import equilibrate, scaled_by
+from jaxscp.conic.implicit import symmetric_solve
 from jaxscp.conic.interior_point import InteriorPoint, restored
 from jaxscp.conic.kkt import Primal
 from jaxscp.conic.program import ConicSolution, StagedProgram
 from jaxscp.conic.smoothing import central_pair
-from jaxscp.implicit import symmetric_solve
 from jaxscp.status import Status
 from jaxscp.types import Flag, Scalar
 

@@ -1,4 +1,4 @@
-"""What every derivative by the implicit function theorem ends in: one symmetric system, solved where there is one."""
+"""What the derivatives of a layer end in: one symmetric system, solved where there is one."""
 
 from collections.abc import Callable
 from typing import TypeVar
@@ -26,7 +26,7 @@ def symmetric_solve(
 
     Example:
         >>> import jax, jax.numpy as jnp
-        >>> from jaxscp.implicit import symmetric_solve
+        >>> from jaxscp.conic.implicit import symmetric_solve
         >>> half = lambda right: symmetric_solve(lambda v: 2.0 * v, lambda v: 0.5 * v, right, jnp.array(True))
         >>> jax.grad(lambda v: half(v).sum())(jnp.ones(2))
         Array([0.5, 0.5], dtype=float64)
