@@ -6,8 +6,8 @@
 node, with P from a Riccati recursion: each block is then as convex as the problem itself is in the directions that
 its dynamics leave free (Verschueren et al., "A sparsity preserving convexification procedure for indefinite
 quadratic programs arising in direct optimal control", 2017). With a quadratic on the constraints that the last
-subproblem found active, this is exact near a solution that is a strict minimum. Curvature that is still negative
-and deep is raised.
+subproblem found active, this is exact near a solution that is a strict minimum. A block that is still not convex
+is clipped.
 
 All in scaled units, in which a variable's typical size is one.
 """
@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxscp.types import Flag, Scalar
+from jaxscp.types import Scalar
 
 FLOORS = (
     1e-4,
@@ -69,8 +69,13 @@ def condensed(
         step = jnp.concatenate([jacobian, carry_controls])  # (x, U)_{i+1} = step w_i + offset
         offset = jnp.concatenate([defect, jnp.zeros(controls)])
         whole = block + step.T @ after @ step
-        before, convex, clipped = _convex_block(whole, stage)
-        return before, (convex, step.T @ (after @ offset), clipped)
+        tries = [_schur_complement(whole, stage, floor) for floor in FLOORS]
+        fine = [jnp.linalg.eigvalsh(before)[0] >= -DEEPEST_CURVATURE for before, _, _ in tries]
+        before, convex, _ = _schur_complement(_clip(whole, FLOORS[0])[0], stage, FLOORS[0])
+        for good, (other_before, other_convex, _) in zip(fine[::-1], tries[::-1], strict=True):
+            before, convex = jnp.where(good, other_before, before), jnp.where(good, other_convex, convex)
+        fine = fine[0] & (tries[0][2] >= FLOORS[0])
+        return before, (convex, step.T @ (after @ offset), ~fine)
 
     first, (convex, gradient, clipped) = jax.lax.scan(
         backward, final, (hessian, chain.jacobian, chain.defect), reverse=True
@@ -87,36 +92,11 @@ def _clip(h: Float[Array, "n n"], least: float) -> tuple[Float[Array, "n n"], Sc
     return (vectors * jnp.maximum(values, least)) @ vectors.T, values[0]
 
 
-def _convex_block(whole: Float[Array, "n n"], stage: int):
-    """Split a block: what its start keeps, what the interval uses, and whether that changed any curvature.
-
-    The controls at the interval's end are minimised over, their curvature raised to the least floor that leaves the
-    start no deeper negative curvature than it may pass on; where none does, the start's is raised.
-    """
-    cross, end = whole[stage:, :stage], whole[stage:, stage:]
-    values, vectors = jnp.linalg.eigh(0.5 * (end + end.T))
-    along = vectors.T @ cross
-
-    def used(floor):
-        raised = jnp.maximum(values, floor)
-        saved = along.T @ (along / raised[:, None])
-        before = whole[:stage, :stage] - saved
-        return 0.5 * (before + before.T), saved, (vectors * raised) @ vectors.T
-
-    tries = [used(floor) for floor in FLOORS]
-    fine = [_above(before, -DEEPEST_CURVATURE) for before, _, _ in tries]
-    chosen = tries[-1]
-    for good, other in zip(fine[::-1], tries[::-1], strict=True):
-        chosen = jax.tree.map(lambda a, b, good=good: jnp.where(good, a, b), other, chosen)
-    before, saved, end = chosen
-    spread = jnp.sum(jnp.abs(before), axis=1) - jnp.abs(jnp.diag(before))  # Gershgorin's discs
-    lift = jnp.maximum(-DEEPEST_CURVATURE - jnp.min(jnp.diag(before) - spread), 0.0)
-    before += jnp.where(jnp.any(jnp.stack(fine)), 0.0, lift) * jnp.eye(stage, dtype=whole.dtype)
-    convex = jnp.block([[saved, cross.T], [cross, end]])
-    return before, 0.5 * (convex + convex.T), ~fine[0] | (values[0] < FLOORS[0])
-
-
-def _above(h: Float[Array, "n n"], least: float) -> Flag:
-    """Whether no eigenvalue is below; by Cholesky's method, since eigenvalues of a batch are dear."""
-    lower = jnp.linalg.cholesky(h - least * jnp.eye(h.shape[0], dtype=h.dtype), symmetrize_input=False)
-    return jnp.all(jnp.isfinite(lower))
+def _schur_complement(whole: Float[Array, "n n"], stage: int, floor: float):
+    """Minimise over the controls at the interval's end: what is left, what was used, and its least curvature."""
+    used, least = _clip(whole[stage:, stage:], floor)
+    cross = whole[stage:, :stage]
+    saved = cross.T @ jnp.linalg.solve(used, cross)
+    before = whole[:stage, :stage] - saved
+    convex = jnp.block([[saved, cross.T], [cross, used]])
+    return 0.5 * (before + before.T), 0.5 * (convex + convex.T), least
