@@ -22,6 +22,7 @@ from jaxtyping import Array, Float
 
 from jaxscp import lanes, riccati
 from jaxscp.central_path import MU, Point, conditions, inverse, lagrangian
+from jaxscp.conic.implicit import once
 from jaxscp.inequalities import Jacobians, Values, cones, pulled, unit
 from jaxscp.interior import Scalings, along, lagrangian_chain, local, newton_chain, scaled, scalings
 from jaxscp.intervals import Grid
@@ -56,61 +57,65 @@ def _optimum(grid: Grid, floats, rest, point: Point, reached: Flag) -> Point:
 @_optimum.defjvp
 def _moved(grid: Grid, primals, tangents):
     floats, rest, point, reached = primals
-    problem = eqx.combine(floats, rest)
+    problem = eqx.combine(once(floats), rest)
     inner = _inside(problem, point, reached)
     return point, _change(problem, inner, grid, reached, tangents[0])
 
 
 def _change(problem: OptimalControlProblem, point: Point, grid: Grid, reached: Flag, change) -> Point:
     """Of the optimum with the problem's floats: minus the inverse of the conditions' matrix A times their own change
-    B. As one linear system, [1 0; B A] (f, p) = (change, 0), whose solution and that of its transpose are stated: for a
-    batch, lanes that have none then cost nothing, and the rest no more memory than a tile of them needs."""
-    build = lambda fixed, _: _system(*fixed, grid)  # noqa: E731
-    shapes = jax.eval_shape(build, (problem, point), None)
-    blank = jax.tree.map(lambda v: jnp.zeros(v.shape, v.dtype), shapes)
-    system = lanes.where_needed(reached, build, (problem, point), blank)
-    defined = reached & system.reduced.definite
+    B. As one linear system, [1 0; B A] (f, p) = (change, 0), whose solution and that of its transpose are stated: of a
+    batch, lanes that have none then cost nothing, and the others no more memory than a tile of them."""
     right, unravel = ravel_pytree((change, jax.tree.map(jnp.zeros_like, point)))
 
-    def of_conditions(problem, point, change, move):
-        floats, rest = eqx.partition(problem, eqx.is_inexact_array)
-        value = lambda floats, point: conditions(eqx.combine(floats, rest), point, grid)  # noqa: E731
-        return jax.jvp(value, (floats, point), (change, move))[1]
-
-    def forward(fixed, pair):
-        problem, point, system = fixed
-        change, owed = pair
-        nothing = jax.tree.map(jnp.zeros_like, point)
-        caused = of_conditions(problem, point, change, nothing)
-        return change, system.solve(problem, jax.tree.map(jnp.subtract, owed, caused))
-
-    def backward(fixed, pair):
-        problem, point, system = fixed
-        weights, asked = pair
-        price = system.solve(problem, asked)
-        floats, rest = eqx.partition(problem, eqx.is_inexact_array)
-
-        def along(
-            floats,
-        ):  # its gradient is that of price . conditions, and one sweep through the flight cheaper
-            return jax.jvp(lambda p: lagrangian(eqx.combine(floats, rest), p, grid), (point,), (price,))[1]
-
-        return jax.tree.map(jnp.subtract, weights, jax.grad(along)(floats)), price
-
     def solution(act):
+        def one(fixed, flat):
+            problem, point = fixed
+            system = _system(problem, point, grid)
+            found, _ = ravel_pytree(act(problem, point, system, grid, *unravel(flat)))
+            return jnp.where(system.reduced.definite, found, _lost(flat))
+
         def solve(_, flat):
-            acted, _ = ravel_pytree(lanes.where_needed(defined, act, (problem, point, system), unravel(flat)))
-            lost = jnp.any(flat != 0) & ~defined
-            return jnp.where(defined, acted, jnp.where(lost, jnp.nan, jnp.zeros_like(flat)))
+            found = lanes.where_needed(reached, one, (problem, point), flat)
+            return jnp.where(reached, found, _lost(flat))
 
         return solve
 
     def matrix(flat):
         change, move = unravel(flat)
-        return ravel_pytree((change, of_conditions(problem, point, change, move)))[0]
+        return ravel_pytree((change, _moved_conditions(problem, point, grid, change, move)))[0]
 
-    found = jax.lax.custom_linear_solve(matrix, right, solution(forward), solution(backward))
+    found = jax.lax.custom_linear_solve(matrix, right, solution(_forward), solution(_backward))
     return unravel(found)[1]
+
+
+def _lost(right: Float[Array, "_"]) -> Float[Array, "_"]:
+    """NaN, but zero for a right-hand side of zeros."""
+    return jnp.where(jnp.any(right != 0), jnp.nan, jnp.zeros_like(right))
+
+
+def _forward(problem: OptimalControlProblem, point: Point, system, grid: Grid, change, owed: Point):
+    """Solve [1 0; B A] (f, p) = (change, owed)."""
+    caused = _moved_conditions(problem, point, grid, change, jax.tree.map(jnp.zeros_like, point))
+    return change, system.solve(problem, jax.tree.map(jnp.subtract, owed, caused))
+
+
+def _backward(problem: OptimalControlProblem, point: Point, system, grid: Grid, weights, asked: Point):
+    """Solve [1 B'; 0 A] (f, p) = (weights, asked)."""
+    price = system.solve(problem, asked)
+    floats, rest = eqx.partition(problem, eqx.is_inexact_array)
+
+    def along(floats):  # its gradient is that of price . conditions, with one sweep through the flight less
+        return jax.jvp(lambda p: lagrangian(eqx.combine(floats, rest), p, grid), (point,), (price,))[1]
+
+    return jax.tree.map(jnp.subtract, weights, jax.grad(along)(floats)), price
+
+
+def _moved_conditions(problem: OptimalControlProblem, point: Point, grid: Grid, change, move: Point) -> Point:
+    """B change + A move."""
+    floats, rest = eqx.partition(problem, eqx.is_inexact_array)
+    value = lambda floats, point: conditions(eqx.combine(floats, rest), point, grid)  # noqa: E731
+    return jax.jvp(value, (floats, point), (change, move))[1]
 
 
 def _inside(problem: OptimalControlProblem, point: Point, reached: Flag) -> Point:

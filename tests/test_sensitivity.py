@@ -82,6 +82,13 @@ def test_slopes_are_differences(flight):
         np.testing.assert_allclose(slopes[i], slope, rtol=DIFFERENCES, atol=1e-6)
 
 
+@pytest.mark.slow
+def test_second_derivatives_are_refused(flight):
+    parameters, _, time = flight
+    with pytest.raises(TypeError, match="first derivatives only"):
+        jax.eval_shape(jax.hessian(time), parameters)
+
+
 def test_paper_mode_has_no_derivative_and_says_so():
     scenario = scenarios.ascent_to_platform()
     planner = jaxscp.Planner(nodes=20, method=jaxscp.SCP())

@@ -1,4 +1,4 @@
-"""What the derivatives of a layer end in: one symmetric system, solved where there is one."""
+"""What derivatives by the implicit function theorem share: they are of first order, and end in a linear system."""
 
 from collections.abc import Callable
 from typing import TypeVar
@@ -43,4 +43,17 @@ def symmetric_solve(
 
     return unravel(
         jax.lax.custom_linear_solve(product, flat, guarded, transpose_solve=guarded, symmetric=True)
+    )
+
+
+@jax.custom_jvp
+def once(given: Tree) -> Tree:
+    """What a derivative is being taken of, inside its rule: a second one is an error there, not a wrong number."""
+    return given
+
+
+@once.defjvp
+def _refuse(primals, tangents):
+    raise TypeError(
+        "plans and conic layers have first derivatives only: take second ones as differences of those"
     )

@@ -27,7 +27,7 @@ from jaxscp.conic.augmented import System, Unknowns, factorise
 from jaxscp.conic.central_path import centre, conditions, lagrangian
 from jaxscp.conic.cones import ConeVector, tree_axpy
 from jaxscp.conic.equilibrate import equilibrate, scaled_by
-from jaxscp.conic.implicit import symmetric_solve
+from jaxscp.conic.implicit import once, symmetric_solve
 from jaxscp.conic.interior_point import InteriorPoint, restored
 from jaxscp.conic.kkt import Primal
 from jaxscp.conic.program import ConicSolution, StagedProgram
@@ -134,7 +134,7 @@ def _moved(primals, tangents):
     def solve(_, right):
         return _solve(matrix, reached, right)
 
-    return optimum, implicit_diff.root_jvp(residual, optimum, (_once(program),), tangents[:1], solve=solve)
+    return optimum, implicit_diff.root_jvp(residual, optimum, (once(program),), tangents[:1], solve=solve)
 
 
 def _solve(matrix: System, reached: Flag, right: Optimum) -> Optimum:
@@ -153,17 +153,6 @@ def _accurate(matrix: System, right: Unknowns) -> Unknowns:
     """The solution, or NaN where the matrix has none: it is singular in this direction, or nearly so."""
     found, lack = matrix.solve(right)
     return jax.tree.map(lambda v: jnp.where(lack <= _SOLVED, v, jnp.nan), found)
-
-
-@jax.custom_jvp
-def _once(program: StagedProgram) -> StagedProgram:
-    """The program, where a derivative with respect to it is being taken."""
-    return program
-
-
-@_once.defjvp
-def _refuse(primals, tangents):
-    raise TypeError("a ConicLayer has first derivatives only: take second ones as differences of those")
 
 
 def _strict(matrix: System) -> Flag:
