@@ -4,6 +4,7 @@ The paper gives neither its clouds nor its corridors; sizes here follow its text
 obstacles, and one up to a high platform).
 """
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -15,6 +16,7 @@ from jaxscp.types import Points
 _SPACING = 0.15  # m between obstacle points
 
 
+@jax.jit  # one small program, where each of its steps alone would be one
 def platform_to_platform() -> LandingScenario:
     """Case 1: from one platform to another 10 m away, through the gaps of two walls.
 
@@ -35,6 +37,7 @@ def platform_to_platform() -> LandingScenario:
     return _mission(at_rest([0.0, 0.5, 1.0]), at_rest([10.0, 0.0, 1.0]), corridor, walls + platforms)
 
 
+@jax.jit
 def ascent_to_platform() -> LandingScenario:
     """Case 2: out from under a mezzanine, up beside it, and down onto a platform 4.7 m high."""
     obstacles = [
