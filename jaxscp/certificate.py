@@ -31,7 +31,8 @@ class Flight(eqx.Module):
 
 
 class Certificate(eqx.Module):
-    """What the judge found. Violations are zero or positive, in each constraint's own unit."""
+    """What the judge found. Violations are zero or positive, in each constraint's own unit; all is infinite that a
+    flight which cannot be integrated says nothing of."""
 
     defect: Scalar
     """Largest distance between the planned and the re-flown state at a node, all states in one norm."""
@@ -95,7 +96,7 @@ def certify(
     missed = problem.final.function(flight.state[-1, -1], trajectory.time[-1], problem.final.parameters)
     defect = jnp.max(jnp.linalg.norm(flight.state[:, -1] - trajectory.state[1:], axis=-1))
     judged = [_judge(c, trajectory, flight) for c in problem.constraints]
-    return Certificate(
+    certificate = Certificate(
         defect=defect,
         position_error=jnp.linalg.norm(missed[:3]),
         velocity_error=jnp.linalg.norm(missed[3:6]),
@@ -107,6 +108,7 @@ def certify(
         optimality=optimality,
         names=tuple(c.name for c in problem.constraints),
     )
+    return jax.tree.map(lambda v: jnp.where(jnp.isnan(v), jnp.inf, v), certificate)
 
 
 def _angle(missed: Float[Array, "_"]) -> Scalar:

@@ -27,7 +27,8 @@ from jaxscp.validation import valid, validate
 
 
 class Solution(eqx.Module):
-    """A planned flight and what is known about it. Always finite: look at ``status`` first."""
+    """A planned flight and what is known about it: look at ``status`` first. Never NaN, and finite but for the
+    certificate of a flight that cannot be integrated."""
 
     status: StatusCode
     """``converged`` only where the iterations converged and the certificate agrees."""
