@@ -1,5 +1,9 @@
 """Loops in rounds: every lane ends where it would alone, and no lane is stepped once it has ended."""
 
+import os
+import subprocess
+import sys
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -99,3 +103,33 @@ def test_batches_share_what_is_not_their_own():
     for k, i, j in np.ndindex(4, 2, 3):
         wanted = by_hand(float(a[i]), float(b[j] * c[k, j]), times[i, j], 1.0)
         np.testing.assert_allclose(found[k, i, j], wanted, rtol=ROUNDING)
+
+
+ON_TWO_DEVICES = """
+import jax, jax.numpy as jnp
+from jax.sharding import AxisType, PartitionSpec as P
+from jaxscp import lanes
+
+def count(times):
+    return lanes.while_loop(lambda s: s[0] > 0, lambda _, s: (s[0] - 1, 2 * s[1]), None, (times, jnp.ones((), int)))[1]
+
+mesh = jax.make_mesh((2,), ("lanes",), axis_types=(AxisType.Auto,))
+spec = P("lanes")
+both = jax.jit(jax.shard_map(jax.vmap(count), mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False))
+found = both(jnp.arange(20) % 7)
+assert len(found.sharding.device_set) == 2
+print(*found)
+"""
+
+
+def test_each_device_steps_its_own_lanes():
+    devices = {"XLA_FLAGS": "--xla_force_host_platform_device_count=2", "JAX_PLATFORMS": "cpu"}
+    done = subprocess.run(
+        [sys.executable, "-c", ON_TWO_DEVICES],
+        env=os.environ | devices,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    np.testing.assert_array_equal([int(v) for v in done.stdout.split()], 2 ** (np.arange(20) % 7))
