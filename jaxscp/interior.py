@@ -113,7 +113,7 @@ class Interior(eqx.Module):
 
         def step(fixed, iterate):
             problem, grid, scale = fixed
-            return self.step(problem, grid, scale, iterate)
+            return self.step(problem, iterate, grid, scale)
 
         return lanes.while_loop(lambda s: ~self.terminate(s), step, (problem, grid, scale), start)
 
@@ -155,7 +155,7 @@ class Interior(eqx.Module):
         )
 
     def step(
-        self, problem: OptimalControlProblem, grid: Grid, scale: Float[Array, "variables"], old: Iterate
+        self, problem: OptimalControlProblem, old: Iterate, grid: Grid, scale: Float[Array, "variables"]
     ) -> Iterate:
         """One Newton step."""
         here = local(problem, old.z, old.y, grid)

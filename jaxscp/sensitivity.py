@@ -22,7 +22,7 @@ from jaxtyping import Array, Float
 
 from jaxscp import lanes, riccati
 from jaxscp.central_path import MU, Point, conditions, inverse, lagrangian
-from jaxscp.conic.implicit import once
+from jaxscp.conic.implicit import once, undefined
 from jaxscp.inequalities import Jacobians, Values, cones, pulled, unit
 from jaxscp.interior import Scalings, along, lagrangian_chain, local, newton_chain, scaled, scalings
 from jaxscp.intervals import Grid
@@ -73,11 +73,11 @@ def _change(problem: OptimalControlProblem, point: Point, grid: Grid, reached: F
             problem, point = fixed
             system = _system(problem, point, grid)
             found, _ = ravel_pytree(act(problem, point, system, grid, *unravel(flat)))
-            return jnp.where(system.reduced.definite, found, _lost(flat))
+            return jnp.where(system.reduced.definite, found, undefined(flat))
 
         def solve(_, flat):
             found = lanes.where_needed(reached, one, (problem, point), flat)
-            return jnp.where(reached, found, _lost(flat))
+            return jnp.where(reached, found, undefined(flat))
 
         return solve
 
@@ -89,18 +89,15 @@ def _change(problem: OptimalControlProblem, point: Point, grid: Grid, reached: F
     return unravel(found)[1]
 
 
-def _lost(right: Float[Array, "_"]) -> Float[Array, "_"]:
-    """NaN, but zero for a right-hand side of zeros."""
-    return jnp.where(jnp.any(right != 0), jnp.nan, jnp.zeros_like(right))
-
-
-def _forward(problem: OptimalControlProblem, point: Point, system, grid: Grid, change, owed: Point):
+def _forward(problem: OptimalControlProblem, point: Point, system: "System", grid: Grid, change, owed: Point):
     """Solve [1 0; B A] (f, p) = (change, owed)."""
     caused = _moved_conditions(problem, point, grid, change, jax.tree.map(jnp.zeros_like, point))
     return change, system.solve(problem, jax.tree.map(jnp.subtract, owed, caused))
 
 
-def _backward(problem: OptimalControlProblem, point: Point, system, grid: Grid, weights, asked: Point):
+def _backward(
+    problem: OptimalControlProblem, point: Point, system: "System", grid: Grid, weights, asked: Point
+):
     """Solve [1 B'; 0 A] (f, p) = (weights, asked)."""
     price = system.solve(problem, asked)
     floats, rest = eqx.partition(problem, eqx.is_inexact_array)

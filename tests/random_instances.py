@@ -1,5 +1,7 @@
 """Random variations of the two missions, shared by tests and benchmarks."""
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -11,7 +13,9 @@ from jaxscp.rotations import from_yaw
 PRICES = (0.0, 5.0)  # w_t, at which benchmarks plan them
 
 
-def random_instances(key, count: int, mission=jaxscp.scenarios.platform_to_platform):
+def random_instances(
+    key, count: int, mission: Callable[[], jaxscp.LandingScenario] = jaxscp.scenarios.platform_to_platform
+):
     """A batch of missions with random start, goal, headings, mass and thrust limit; all of them feasible.
 
     Start and goal move by up to 0.4 m sideways and 0.3 m up from their platforms, and each turns to any

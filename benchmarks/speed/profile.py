@@ -228,7 +228,7 @@ def _interior_pieces(pieces: Pieces, method: NewtonSCP, problem: Any, solution: 
     interior, grid, z, y = method.interior, method.grid, solution.z, solution.multipliers
     steps, sizes = int(solution.newton_steps), typical_sizes(solution.z)
     start = jax.jit(lambda p, z, y: interior.init(p, z, y, grid))(problem, z, y)
-    pieces.time("interior: Newton step", steps, lambda p, s: interior.step(p, grid, sizes, s), problem, start)
+    pieces.time("interior: Newton step", steps, lambda p, s: interior.step(p, s, grid, sizes), problem, start)
     inside = functools.partial(pieces.time, inside=True)
     here = inside("the problem to second order", steps, lambda p, z, y: local(p, z, y, grid), problem, z, y)
 

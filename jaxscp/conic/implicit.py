@@ -6,6 +6,7 @@ from typing import TypeVar
 import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float
 
 from jaxscp.types import Flag
 
@@ -38,12 +39,16 @@ def symmetric_solve(
         return ravel_pytree(matrix(unravel(v)))[0]
 
     def guarded(_, v):
-        nothing = jnp.where(jnp.any(v != 0) & ~defined, jnp.nan, jnp.zeros_like(v))
-        return jnp.where(defined, ravel_pytree(solve(unravel(v)))[0], nothing)
+        return jnp.where(defined, ravel_pytree(solve(unravel(v)))[0], undefined(v))
 
     return unravel(
         jax.lax.custom_linear_solve(product, flat, guarded, transpose_solve=guarded, symmetric=True)
     )
+
+
+def undefined(right: Float[Array, "_"]) -> Float[Array, "_"]:
+    """What stands for a solution where there is none: NaN, but zero for a right-hand side of zeros."""
+    return jnp.where(jnp.any(right != 0), jnp.nan, jnp.zeros_like(right))
 
 
 @jax.custom_jvp
