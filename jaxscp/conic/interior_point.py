@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxscp.conic import cones, kkt
+from jaxscp.conic import cones, kkt, native
 from jaxscp.conic.cones import ConeVector, tree_axpy, tree_dot, tree_max
 from jaxscp.conic.equilibrate import Scales, equilibrate
 from jaxscp.conic.kkt import Primal
@@ -60,11 +60,24 @@ class Progress(eqx.Module):
     broken: Bool[Array, ""]
 
 
+class Ended(eqx.Module):
+    """What the loop ended with."""
+
+    iterate: Iterate
+    error: Scalar
+    infeasibility: Scalar
+    unboundedness: Scalar
+    iterations: Int[Array, ""]
+    stalled: Bool[Array, ""]
+    broken: Bool[Array, ""]
+
+
 class InteriorPoint(eqx.Module):
-    """Our own structured interior point; pure JAX, so it runs under ``jit``, ``vmap`` and on any device.
+    """Our own structured interior point; it runs under ``jit``, ``vmap`` and on any device.
 
     The Newton system is reduced to one block tridiagonal matrix (``kkt``), so that work and memory grow
-    linearly with the number of nodes.
+    linearly with the number of nodes. In float64 on a CPU the loop is the compiled one of ``conic.native``, where
+    that was built; elsewhere it is pure JAX.
 
     Args:
         tolerance: relative gap and residuals at which a program counts as solved.
@@ -75,6 +88,7 @@ class InteriorPoint(eqx.Module):
         regularisation: added to the diagonal of the (equilibrated) system; its effect is refined away.
         refinements: rounds of iterative refinement for each right-hand side.
         equilibration: rounds of Ruiz scaling.
+        compiled: whether ``conic.native`` may run the loop.
     """
 
     tolerance: float = eqx.field(default=1e-8, static=True)
@@ -84,6 +98,7 @@ class InteriorPoint(eqx.Module):
     regularisation: float = eqx.field(default=1e-11, static=True)
     refinements: int = eqx.field(default=1, static=True)
     equilibration: int = eqx.field(default=3, static=True)
+    compiled: bool = eqx.field(default=True, static=True)
 
     def __call__(self, program: StagedProgram) -> ConicSolution:
         """Solve a program.
@@ -92,26 +107,51 @@ class InteriorPoint(eqx.Module):
             A ``ConicSolution``; ``z`` is always finite, its ``status`` says what it is worth.
         """
         scaled, scales = equilibrate(program, self.equilibration)
-        progress = self.iterate(scaled, scales)
-        x, y, _ = progress.iterate.solution()
+        ended = self.iterate(scaled, scales)
+        x, y, _ = ended.iterate.solution()
         z, multipliers = restored(scaled, scales, x, y)
-        return ConicSolution(z, multipliers, program.objective(z), self.status(progress), progress.iterations)
+        return ConicSolution(z, multipliers, program.objective(z), self.status(ended), ended.iterations)
 
-    def iterate(self, program: StagedProgram, scales: Scales) -> Progress:
+    def iterate(self, program: StagedProgram, scales: Scales) -> Ended:
         """The loop itself, on an equilibrated program."""
-        return jax.lax.while_loop(
+        if not (self.compiled and native.serves(program)):
+            return self._iterate(program, scales)
+        return jax.lax.platform_dependent(program, scales, cpu=self._iterate_natively, default=self._iterate)
+
+    def _iterate(self, program: StagedProgram, scales: Scales) -> Ended:
+        progress = jax.lax.while_loop(
             lambda p: ~self._finished(p),
             lambda p: self._step(program, scales, p),
             self._start(program, scales),
         )
-
-    def status(self, progress: Progress) -> StatusCode:
-        """How the loop ended."""
         r = progress.residuals
+        measures = r.error, r.infeasibility, r.unboundedness
+        return Ended(progress.iterate, *measures, progress.iterations, progress.stalled, progress.broken)
+
+    def _iterate_natively(self, program: StagedProgram, scales: Scales) -> Ended:
+        names = (
+            "tolerance",
+            "proof_tolerance",
+            "loose_tolerance",
+            "regularisation",
+            "max_iterations",
+            "refinements",
+        )
+        settings = {name: getattr(self, name) for name in names}
+        found = native.call(program, scales.cost, **settings)
+        z, xi, zeta, y_zero, y_orthant, y_second, s_orthant, s_second, tau, kappa, *measures = found
+        y, s = (
+            ConeVector(y_zero, y_orthant, y_second),
+            ConeVector(jnp.zeros_like(y_zero), s_orthant, s_second),
+        )
+        return Ended(Iterate(Primal(z, xi, zeta), y, s, tau, kappa), *measures)
+
+    def status(self, r: Ended) -> StatusCode:
+        """How the loop ended."""
         solved_status = Status.where(
-            progress.broken,
+            r.broken,
             Status.numerical_error,
-            Status.where(progress.stalled, Status.insufficient_progress, Status.iteration_limit),
+            Status.where(r.stalled, Status.insufficient_progress, Status.iteration_limit),
         )
         solved_status = Status.where(r.error <= self.loose_tolerance, Status.almost_converged, solved_status)
         solved_status = Status.where(r.unboundedness <= self.proof_tolerance, Status.unbounded, solved_status)

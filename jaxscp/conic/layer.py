@@ -94,11 +94,11 @@ class ConicLayer(eqx.Module):
         program = _with_symmetric_hessian(program)
         given = jax.lax.stop_gradient(program)
         scaled, scales = equilibrate(given, self.solver.equilibration)
-        progress = self.solver.iterate(scaled, scales)
-        x, y, s = progress.iterate.solution()
+        ended = self.solver.iterate(scaled, scales)
+        x, y, s = ended.iterate.solution()
         point = centre(scaled, x, tree_axpy(-1.0, y, s), self.mu, self.tolerance, self.steps)
         reached = point.error <= self.tolerance  # which proves it optimal, whatever ended the interior point
-        status = Status.where(reached, Status.converged, self.solver.status(progress))
+        status = Status.where(reached, Status.converged, self.solver.status(ended))
         # a matrix of finite numbers also where it has no meaning: zero times NaN would not be zero
         pair = central_pair(jax.tree.map(lambda v: jnp.where(reached, v, 1.0), point.gap), self.mu)
         matrix = factorise(scaled, pair)
@@ -107,7 +107,7 @@ class ConicLayer(eqx.Module):
         x, y, cost = _followed(scaled_by(program, scales), (x, y, cost), matrix, reached)
         z, multipliers = restored(scaled, scales, x, y)
         return LayerSolution(
-            z, multipliers, cost / scales.cost, status, progress.iterations, reached & _strict(matrix)
+            z, multipliers, cost / scales.cost, status, ended.iterations, reached & _strict(matrix)
         )
 
 

@@ -1,0 +1,96 @@
+"""The interior point's loop in C++, for float64 on a CPU: the same steps as ``interior_point``, to rounding.
+
+XLA runs a Newton step as hundreds of operations on arrays of a few kilobytes, and most of its time goes between them.
+Here a step is a few hundred thousand vector instructions on data that stay in the cache. The files, in the order in
+which they build on each other: ``pack.h`` (eight nodes of the chain in one register), ``elimination.h``, ``chain.h``,
+``program.h``, ``cones.h``, ``newton_system.h``, ``interior_point.h``, and ``handler.cc``, which XLA calls.
+
+The libraries are compiled when the package is installed, if there is a C++ compiler. Without them, on other devices,
+and in float32, the interior point runs as JAX.
+"""
+
+import ctypes
+import functools
+import warnings
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+
+from jaxscp.conic import kkt
+from jaxscp.conic.program import StagedProgram
+from jaxscp.types import Scalar
+
+TARGET = "jaxscp_interior_point"
+_LEVELS = ("v4", "v3", "any")  # best first
+
+
+@functools.cache
+def available() -> bool:
+    """Whether the loop was compiled for this machine; makes it known to XLA."""
+    library = _library()
+    if library is None:
+        return False
+    try:
+        handler = jax.ffi.pycapsule(library.jaxscp_interior_point)
+        jax.ffi.register_ffi_target(TARGET, handler, platform="cpu")
+    except Exception as error:  # XLA's own types, which differ by version
+        warnings.warn(
+            f"jaxscp: the compiled interior point does not fit this jaxlib, and is left out ({error}); "
+            "install jaxscp again to compile it anew",
+            stacklevel=2,
+        )
+        return False
+    return True
+
+
+def _library() -> ctypes.CDLL | None:
+    for level in _LEVELS:
+        file = Path(__file__).with_name(f"interior_point_{level}.so")
+        if file.exists():
+            library = ctypes.CDLL(str(file))
+            if library.jaxscp_runs_here():
+                return library
+    return None
+
+
+def serves(program: StagedProgram) -> bool:
+    """Whether the compiled loop takes this program, on a CPU."""
+    return program.gradient.dtype == jnp.float64 and available()
+
+
+def call(program: StagedProgram, cost: Scalar, **settings: float | int):
+    """Solve an equilibrated program.
+
+    Args:
+        program: in float64.
+        cost: what its cost was multiplied by.
+        settings: of the ``InteriorPoint``, by its own names.
+
+    Returns:
+        The arrays of the last iterate, (x, y, s, tau, kappa), then error, infeasibility, unboundedness, iterations,
+        stalled, broken; the zero cone's slack, which is zero, is left out.
+    """
+    q, b = kkt.linear_cost(program), kkt.right_side(program)
+    like = lambda v: jax.ShapeDtypeStruct(v.shape, v.dtype)  # noqa: E731
+    scalar, flag = jax.ShapeDtypeStruct((), jnp.float64), jax.ShapeDtypeStruct((), jnp.bool_)
+    vectors = [*map(like, (q.z, q.xi, q.zeta, b.zero, b.orthant, b.second, b.orthant, b.second))]
+    count = jax.ShapeDtypeStruct((), jnp.int64)
+    links, norm = program.links, program.norm
+    arrays = [
+        program.hessian,
+        program.gradient,
+        links.before,
+        links.after,
+        links.offset,
+        links.soft,
+        links.weight,
+    ]
+    arrays += [program.rows.matrix, program.rows.offset, cost]
+    for cone in program.cones:
+        arrays += [cone.matrix, cone.offset]
+    if norm is not None:
+        arrays += [norm.weight, norm.scale, norm.centre]
+    results = [*vectors, *[scalar] * 5, count, flag, flag]
+    solve = jax.ffi.ffi_call(TARGET, results, vmap_method="broadcast_all")
+    return solve(*arrays, has_norm=norm is not None, **settings)

@@ -1,0 +1,290 @@
+// The Newton system of the interior point and its solution, by elimination of cones, nodes and links (``kkt.py``).
+#pragma once
+
+#include "chain.h"
+#include "cones.h"
+#include "program.h"
+
+namespace jaxscp {
+
+// Nesterov-Todd scaling of the product cone; nothing on the zero cone.
+class Scaling {
+ public:
+  Packs w;    // as a ConeVector: roots of the half-spaces' ratios, and the cones' points
+  Packs eta;  // of each cone
+
+  explicit Scaling(const Program& p) : w(p.packs * p.cone.size), eta(p.packs * p.cones.size()), program_(p) {}
+
+  // For slack and multiplier the identity of the cone.
+  void set_unit() {
+    std::fill(w.begin(), w.end(), all(0.0));
+    std::fill(eta.begin(), eta.end(), all(1.0));
+    for (int p = 0; p < program_.packs; ++p) {
+      for (int i = 0; i < program_.r; ++i) w[p * program_.cone.size + i] = all(1.0);
+      for (auto& c : program_.cones) w[p * program_.cone.size + c.offset] = all(1.0);
+    }
+  }
+
+  void set(const Packs& s, const Packs& y) {
+    each([&](int at, int) { w[at] = root(s[at] / y[at]); },
+         [&](int at, int d, Pack& e) { soc::scaling(&s[at], &y[at], d, &w[at], e); });
+  }
+
+  // out = W v, and zero on the zero cone
+  void apply(const Packs& v, Packs& out) const {
+    clear_zero(out);
+    each([&](int at, int) { out[at] = w[at] * v[at]; },
+         [&](int at, int d, Pack e) { soc::scale(&w[at], e, 1.0, &v[at], d, &out[at]); });
+  }
+  void apply_inverse(const Packs& v, Packs& out) const {
+    clear_zero(out);
+    each([&](int at, int) { out[at] = v[at] / w[at]; },
+         [&](int at, int d, Pack e) { soc::scale(&w[at], e, -1.0, &v[at], d, &out[at]); });
+  }
+  void square(const Packs& v, Packs& out) const {
+    clear_zero(out);
+    each([&](int at, int) { out[at] = w[at] * w[at] * v[at]; },
+         [&](int at, int d, Pack e) { soc::square(&w[at], e, &v[at], d, &out[at]); });
+  }
+
+ private:
+  // Half-spaces and cones of every pack.
+  template <typename HalfSpace, typename SecondOrder>
+  void each(HalfSpace half_space, SecondOrder second_order) const {
+    int count = static_cast<int>(program_.cones.size());
+    for (int p = 0; p < program_.packs; ++p) {
+      for (int i = 0; i < program_.r; ++i) half_space(p * program_.cone.size + i, p);
+      for (int c = 0; c < count; ++c)
+        second_order(p * program_.cone.size + program_.cones[c].offset, program_.cones[c].dimension,
+                     const_cast<Pack&>(eta[p * count + c]));
+    }
+  }
+  void clear_zero(Packs& out) const {
+    for (int p = 0; p < program_.packs; ++p)
+      for (int i = 0; i < program_.m; ++i) out[p * program_.cone.size + program_.zero + i] = all(0.0);
+  }
+
+  const Program& program_;
+};
+
+class NewtonSystem {
+ public:
+  explicit NewtonSystem(const Program& program)
+      : program_(program),
+        chain_(program.nodes + 1, program.m),
+        rows_(program.n + 2 * program.m),
+        panels_(static_cast<size_t>(program.packs) * rows_ * program.n),
+        below_(static_cast<size_t>(program.packs) * rows_),
+        trust_shift_(static_cast<size_t>(program.packs) * program.n),
+        link_(static_cast<size_t>(program.packs) * program.m),
+        right_(program.n),
+        wide_(std::max(program.n, program.cone.size)),
+        rx_(program.packs * program.primal.size),
+        ry_(program.packs * program.cone.size),
+        dx_(rx_),
+        dy_(ry_) {}
+
+  // Eliminate cones and nodes, and factor what remains in the link multipliers.
+  void factor(const Scaling& scaling, double regularisation) {
+    const Program& g = program_;
+    int n = g.n, m = g.m;
+    chain_.clear();
+    add_compliance(scaling, regularisation);
+    for (int p = 0; p < g.packs; ++p) {
+      Pack* panel = &panels_[static_cast<size_t>(p) * rows_ * n];
+      std::fill_n(panel, static_cast<size_t>(rows_) * n, all(0.0));
+      add_hessian(scaling, p, panel);
+      for (int i = 0; i < n; ++i) panel[i * n + i] += regularisation;
+      Pack *after = panel + n * n, *before = after + m * n;
+      spread(g.after, p, after);
+      spread(g.before, p, before);
+      eliminate(panel, n, rows_);
+      int here = p * kWidth;
+      auto add = [](double* at, Pack v) { store(at, load(at) + v); };
+      gram(after, m, after, m, n, [&](int i, int j, Pack v) { add(chain_.diagonal(i, j) + here, g.of_nodes(p, v)); });
+      gram(before, m, before, m, n,
+           [&](int i, int j, Pack v) { add(chain_.diagonal(i, j) + here + 1, g.of_nodes(p, v)); });
+      gram(after, m, before, m, n, [&](int i, int j, Pack v) { store(chain_.above(i, j) + here, g.of_nodes(p, v)); });
+    }
+    chain_.factor();
+  }
+
+  // Solve [P A'; A -W^2] (x, y) = (rx, ry). Refinement is against this full system: it brings back the digits that
+  // eliminating cones near their boundary loses.
+  void solve(const Scaling& scaling, const Packs& rx, const Packs& ry, int refinements, Packs& x, Packs& y) {
+    solve_once(scaling, rx, ry, x, y);
+    for (int round = 0; round < refinements; ++round) {
+      program_.times_hessian(x, rx_);
+      program_.times_constraints_transposed(y, dx_);
+      for (size_t i = 0; i < x.size(); ++i) rx_[i] = rx[i] - (rx_[i] + dx_[i]);
+      program_.times_constraints(x, ry_);
+      scaling.square(y, dy_);
+      for (size_t i = 0; i < y.size(); ++i) ry_[i] = ry[i] - (ry_[i] - dy_[i]);
+      solve_once(scaling, rx_, ry_, dx_, dy_);
+      for (size_t i = 0; i < x.size(); ++i) x[i] += dx_[i];
+      for (size_t i = 0; i < y.size(); ++i) y[i] += dy_[i];
+    }
+  }
+
+ private:
+  Pack eta(const Scaling& s, int p, size_t cone) const { return s.eta[p * program_.cones.size() + cone]; }
+  size_t trust_cone() const { return program_.cones.size() - 2; }
+  size_t virtual_cone() const { return program_.cones.size() - 1; }
+
+  void spread(const Matrix& sparse, int p, Pack* dense) const {
+    const Pack* a = sparse.at(p);
+    for (int i = 0; i < sparse.rows(); ++i)
+      for (int e = sparse.start[i]; e < sparse.start[i + 1]; ++e) dense[i * program_.n + sparse.column[e]] = a[e];
+  }
+
+  // Lower triangle of P + G' W^-2 G, the trust region's cone with its bound eliminated.
+  void add_hessian(const Scaling& s, int p, Pack* h) {
+    const Program& g = program_;
+    int n = g.n;
+    const Pack* w = &s.w[p * g.cone.size];
+    spread(g.hessian, p, h);
+    for (int i = 0; i < g.r; ++i) add_square(g.rows, p, i, 1.0 / (w[i] * w[i]), h);
+    size_t c = 0;
+    for (; c + (g.has_norm ? 2 : 1) < g.cones.size(); ++c) {
+      auto [offset, d, _] = g.cones[c];
+      Pack by = 1.0 / (eta(s, p, c) * eta(s, p, c));
+      int row = offset - g.r;
+      Pack* along = wide_.data();
+      std::fill_n(along, n, all(0.0));
+      for (int i = 0; i < d; ++i) {
+        add_square(g.user, p, row + i, i == 0 ? -by : by, h);
+        g.user.add_transposed(p, row + i, i == 0 ? w[offset] : -w[offset + i], along);
+      }
+      for (int i = 0; i < n; ++i) {
+        Pack v = 2.0 * by * along[i];
+        for (int j = 0; j <= i; ++j) h[i * n + j] += v * along[j];
+      }
+    }
+    if (!g.has_norm) return;
+    const Pack *w1 = w + g.trust + 1, *scale = &g.scale[p * n];
+    Pack by = 1.0 / (eta(s, p, c) * eta(s, p, c)), size = dot(w1, w1, n);
+    Pack share = 2.0 / (1.0 + 2.0 * size);
+    for (int i = 0; i < n; ++i) {
+      Pack v = by * share * scale[i] * w1[i];
+      for (int j = 0; j <= i; ++j) h[i * n + j] -= v * scale[j] * w1[j];
+      h[i * n + i] += by * scale[i] * scale[i];
+    }
+  }
+
+  // h += weight a a' for row i of a matrix.
+  void add_square(const Matrix& matrix, int p, int i, Pack weight, Pack* h) const {
+    const Pack* a = matrix.at(p);
+    for (int e = matrix.start[i]; e < matrix.start[i + 1]; ++e) {
+      Pack v = weight * a[e];
+      for (int f = matrix.start[i]; f <= e; ++f) h[matrix.column[e] * program_.n + matrix.column[f]] += v * a[f];
+    }
+  }
+
+  // What the eliminated virtual controls leave: (W^2)_{11} on soft rows.
+  void add_compliance(const Scaling& s, double regularisation) {
+    const Program& g = program_;
+    for (int p = 0; p < g.packs; ++p) {
+      const Pack *w1 = &s.w[p * g.cone.size + g.virtual_ + 1], *soft = &g.soft[p * g.m];
+      Pack by = eta(s, p, virtual_cone()) * eta(s, p, virtual_cone());
+      for (int i = 0; i < g.m; ++i)
+        for (int j = 0; j <= i; ++j) {
+          Pack v = 2.0 * by * soft[i] * w1[i] * soft[j] * w1[j];
+          if (i == j) v += by * soft[i] * soft[i] + regularisation;
+          double* at = chain_.diagonal(i, j) + p * kWidth;
+          store(at, where(g.is_link[p], v, load(at)));
+        }
+    }
+  }
+
+  void solve_once(const Scaling& s, const Packs& rx, const Packs& ry, Packs& x, Packs& y) {
+    const Program& g = program_;
+    int n = g.n, m = g.m;
+    chain_.clear_vector();
+    for (int p = 0; p < g.packs; ++p) {
+      const Pack *qx = &rx[p * g.primal.size], *qy = &ry[p * g.cone.size], *w = &s.w[p * g.cone.size];
+      for (int i = 0; i < n; ++i) right_[i] = qx[i];
+      for (int i = 0; i < g.r; ++i) g.rows.add_transposed(p, i, qy[i] / (w[i] * w[i]), right_.data());
+      for (size_t c = 0; c + (g.has_norm ? 2 : 1) < g.cones.size(); ++c) {
+        auto [offset, d, _] = g.cones[c];
+        soc::inverse_square(w + offset, eta(s, p, c), qy + offset, d, wide_.data());
+        for (int i = 0; i < d; ++i) g.user.add_transposed(p, offset - g.r + i, wide_[i], right_.data());
+      }
+      if (g.has_norm) {
+        const Pack* wt = w + g.trust;
+        Pack e = eta(s, p, trust_cone()), head = 2.0 * e * e * wt[0] * qx[g.xi];
+        Pack* shift = &trust_shift_[p * n];
+        for (int i = 0; i < n; ++i) shift[i] = qy[g.trust + 1 + i] - head * wt[1 + i];
+        soc::tail_inverse(wt, e, shift, n, wide_.data());
+        for (int i = 0; i < n; ++i) right_[i] -= g.scale[p * n + i] * wide_[i];
+      }
+      descend(&panels_[static_cast<size_t>(p) * rows_ * n], n, rows_, right_.data(), &below_[p * rows_]);
+      const Pack* wv = w + g.virtual_;
+      Pack e = eta(s, p, virtual_cone()), head = 2.0 * e * e * wv[0] * qx[g.zeta];
+      for (int i = 0; i < m; ++i) {
+        Pack v = g.soft[p * m + i];
+        Pack lacks = (1.0 - v) * qy[g.zero + i] + v * (qy[g.virtual_ + 1 + i] - head * wv[1 + i]);
+        store(chain_.vector(i) + p * kWidth, g.of_links(p, g.of_nodes(p, below_[p * rows_ + n + i]) - lacks));
+      }
+    }
+    for (int p = 0; p < g.packs; ++p)
+      for (int i = 0; i < m; ++i) {
+        double* at = chain_.vector(i) + p * kWidth + 1;  // what the node gives to the link after it
+        store(at, load(at) + g.of_nodes(p, below_[p * rows_ + n + m + i]));
+      }
+    chain_.solve();
+    for (int p = 0; p < g.packs; ++p) {
+      Pack* v = &below_[p * rows_];
+      for (int i = 0; i < m; ++i) {
+        const double* link = chain_.vector(i) + p * kWidth;
+        v[n + i] = link_[p * m + i] = load(link);
+        v[n + m + i] = load(link + 1);
+      }
+      ascend(&panels_[static_cast<size_t>(p) * rows_ * n], n, rows_, v);
+      conclude(s, p, v, rx, ry, x, y);
+    }
+  }
+
+  // Everything that was eliminated, from z and the link multipliers.
+  void conclude(const Scaling& s, int p, const Pack* z, const Packs& rx, const Packs& ry, Packs& x, Packs& y) {
+    const Program& g = program_;
+    int n = g.n, m = g.m;
+    const Pack *qx = &rx[p * g.primal.size], *qy = &ry[p * g.cone.size], *w = &s.w[p * g.cone.size];
+    Pack *ox = &x[p * g.primal.size], *oy = &y[p * g.cone.size];
+    for (int i = 0; i < n; ++i) ox[i] = z[i];
+    for (int i = 0; i < g.r; ++i) oy[i] = (g.rows.times(p, i, z) - qy[i]) / (w[i] * w[i]);
+    for (size_t c = 0; c + (g.has_norm ? 2 : 1) < g.cones.size(); ++c) {
+      auto [offset, d, _] = g.cones[c];
+      for (int i = 0; i < d; ++i) wide_[i] = g.user.times(p, offset - g.r + i, z) - qy[offset + i];
+      soc::inverse_square(w + offset, eta(s, p, c), wide_.data(), d, oy + offset);
+    }
+    // The bounds follow from the heads of their cones:  -xi - (W^2 y)_0 = ry_0.
+    ox[g.xi] = all(0.0);
+    if (g.has_norm) {
+      const Pack *wt = w + g.trust, *scale = &g.scale[p * n];
+      Pack e = eta(s, p, trust_cone()), *tail = oy + g.trust + 1;
+      for (int i = 0; i < n; ++i) wide_[i] = -(scale[i] * z[i] + trust_shift_[p * n + i]);
+      soc::tail_inverse(wt, e, wide_.data(), n, tail);
+      oy[g.trust] = -qx[g.xi];
+      ox[g.xi] = -qy[g.trust] - square_head(wt, e, oy + g.trust, 1 + n);
+    }
+    const Pack* wv = w + g.virtual_;
+    oy[g.virtual_] = -qx[g.zeta];
+    for (int i = 0; i < m; ++i) {
+      Pack v = g.soft[p * m + i], l = link_[p * m + i];
+      oy[g.zero + i] = (1.0 - v) * l;
+      oy[g.virtual_ + 1 + i] = v * l;
+    }
+    ox[g.zeta] = -qy[g.virtual_] - square_head(wv, eta(s, p, virtual_cone()), oy + g.virtual_, 1 + m);
+  }
+
+  static Pack square_head(const Pack* w, Pack eta, const Pack* v, int d) {
+    return eta * eta * (w[0] * 2.0 * dot(w, v, d) - v[0]);
+  }
+
+  const Program& program_;
+  Chain chain_;
+  int rows_;  // of a panel: z, its link, and the link after it
+  Packs panels_, below_, trust_shift_, link_, right_, wide_, rx_, ry_, dx_, dy_;
+};
+
+}  // namespace jaxscp
