@@ -6,6 +6,8 @@
 // A is eliminated and K K' is what the rest gets. Nodes, and links in cyclic reduction, are eliminated by this alone.
 #pragma once
 
+#include <algorithm>
+
 #include "pack.h"
 
 namespace jaxscp {
@@ -60,7 +62,31 @@ inline void columns(Pack* panel, int size, int rows, int j) {
   diagonal<C>(panel, size, j);
   int i = j + C;
   for (; i + kTile <= rows; i += kTile) below<kTile, C>(panel, size, i, j);
-  for (; i < rows; ++i) below<1, C>(panel, size, i, j);
+  switch (rows - i) {
+    case 3: below<3, C>(panel, size, i, j); break;
+    case 2: below<2, C>(panel, size, i, j); break;
+    case 1: below<1, C>(panel, size, i, j); break;
+  }
+}
+
+// Rows i .. and columns j .. of a gram matrix, ``stride`` packs a row.
+template <int R, int C>
+inline void gram(const Pack* a, int i, const Pack* b, int j, int size, Pack* out, int stride) {
+  Pack sums[R][C];
+  products<R, C>(a + i * size, size, b + j * size, size, size, sums);
+  for (int r = 0; r < R; ++r)
+    for (int c = 0; c < C; ++c) out[(i + r) * stride + j + c] = sums[r][c];
+}
+
+template <int R>
+inline void gram_rows(const Pack* a, int i, const Pack* b, int columns, int size, Pack* out, int stride) {
+  int j = 0;
+  for (; j + kTile <= columns; j += kTile) gram<R, kTile>(a, i, b, j, size, out, stride);
+  switch (columns - j) {
+    case 3: gram<R, 3>(a, i, b, j, size, out, stride); break;
+    case 2: gram<R, 2>(a, i, b, j, size, out, stride); break;
+    case 1: gram<R, 1>(a, i, b, j, size, out, stride); break;
+  }
 }
 
 }  // namespace tile
@@ -75,73 +101,67 @@ inline void eliminate(Pack* panel, int size, int rows) {
   }
 }
 
-// Calls put(i, j, (K K')_ij) for rows i of the first block and j of the second, counted from their own first rows;
-// for i >= j only where the two are one.
-template <typename Put>
-inline void gram(const Pack* a, int a_rows, const Pack* b, int b_rows, int size, Put put) {
-  bool lower = a == b;
-  auto part = [&]<int R, int C>(int i, int j) {
-    Pack sums[R][C];
-    tile::products<R, C>(a + i * size, size, b + j * size, size, size, sums);
-    for (int r = 0; r < R; ++r)
-      for (int c = 0; c < C; ++c)
-        if (!lower || i + r >= j + c) put(i + r, j + c, sums[r][c]);
-  };
-  for (int i = 0; i < a_rows;) {
-    bool tall = i + kTile <= a_rows;
-    int end = lower ? std::min(b_rows, i + (tall ? kTile : 1)) : b_rows;
-    for (int j = 0; j < end;) {
-      bool wide = j + kTile <= b_rows;
-      if (tall && wide) part.template operator()<kTile, kTile>(i, j);
-      else if (tall) part.template operator()<kTile, 1>(i, j);
-      else if (wide) part.template operator()<1, kTile>(i, j);
-      else part.template operator()<1, 1>(i, j);
-      j += wide ? kTile : 1;
-    }
-    i += tall ? kTile : 1;
+// out = A B' for ``count`` rows each of ``size``; of A A' at least the lower triangle.
+inline void gram(const Pack* a, const Pack* b, int count, int size, Pack* out) {
+  int i = 0;
+  auto columns = [&](int end) { return a == b ? std::min(end, count) : count; };
+  for (; i + kTile <= count; i += kTile) tile::gram_rows<kTile>(a, i, b, columns(i + kTile), size, out, count);
+  switch (count - i) {
+    case 3: tile::gram_rows<3>(a, i, b, count, size, out, count); break;
+    case 2: tile::gram_rows<2>(a, i, b, count, size, out, count); break;
+    case 1: tile::gram_rows<1>(a, i, b, count, size, out, count); break;
   }
 }
 
-// out = L^-1 right for the rows of A, and K L^-1 right for those below.
+// out = L^-1 right for the rows of A, and K L^-1 right for those below; S right sides at once, side by side.
+template <int S>
 inline void descend(const Pack* panel, int size, int rows, const Pack* right, Pack* out) {
-  int i = 0;
-  for (; i + kTile <= size; i += kTile) {
-    Pack v[kTile];
-    for (int r = 0; r < kTile; ++r) v[r] = right[i + r];
-    for (int k = 0; k < i; ++k)
-      for (int r = 0; r < kTile; ++r) v[r] -= panel[(i + r) * size + k] * out[k];
-    for (int r = 0; r < kTile; ++r) {
-      for (int k = 0; k < r; ++k) v[r] -= panel[(i + r) * size + i + k] * out[i + k];
-      out[i + r] = v[r] * panel[(i + r) * size + i + r];
+  for (int i = 0; i < rows; i += kTile) {
+    int count = std::min(kTile, rows - i), before = std::min(i, size);
+    const Pack* row = panel + i * size;
+    Pack sums[kTile][S] = {};
+    if (count == kTile) {
+      for (int k = 0; k < before; ++k)
+        for (int r = 0; r < kTile; ++r)
+          for (int s = 0; s < S; ++s) sums[r][s] += row[r * size + k] * out[k * S + s];
+    } else {
+      for (int r = 0; r < count; ++r)
+        for (int k = 0; k < before; ++k)
+          for (int s = 0; s < S; ++s) sums[r][s] += row[r * size + k] * out[k * S + s];
+    }
+    for (int r = 0; r < count; ++r) {
+      int end = std::min(i + r, size);
+      for (int s = 0; s < S; ++s) {
+        Pack v = sums[r][s];
+        for (int k = before; k < end; ++k) v += row[r * size + k] * out[k * S + s];
+        out[(i + r) * S + s] = i + r < size ? (right[(i + r) * S + s] - v) * row[r * size + i + r] : v;
+      }
     }
   }
-  for (; i < size; ++i) out[i] = (right[i] - dot(panel + i * size, out, i)) * panel[i * size + i];
-  for (; i + kTile <= rows; i += kTile) {
-    Pack v[kTile] = {all(0.0), all(0.0), all(0.0), all(0.0)};
-    for (int k = 0; k < size; ++k)
-      for (int r = 0; r < kTile; ++r) v[r] += panel[(i + r) * size + k] * out[k];
-    for (int r = 0; r < kTile; ++r) out[i + r] = v[r];
-  }
-  for (; i < rows; ++i) out[i] = dot(panel + i * size, out, size);
 }
 
 // In place: the first rows become L'^-1 (v - K' v_below).
+template <int S>
 inline void ascend(const Pack* panel, int size, int rows, Pack* v) {
-  int edge = size - size % kTile;
-  for (int j = size - 1; j >= edge; --j) {
-    Pack left = v[j];
-    for (int i = j + 1; i < rows; ++i) left -= panel[i * size + j] * v[i];
-    v[j] = left * panel[j * size + j];
-  }
-  for (int j = edge - kTile; j >= 0; j -= kTile) {
-    Pack left[kTile];
-    for (int c = 0; c < kTile; ++c) left[c] = v[j + c];
-    for (int i = j + kTile; i < rows; ++i)
-      for (int c = 0; c < kTile; ++c) left[c] -= panel[i * size + j + c] * v[i];
-    for (int c = kTile - 1; c >= 0; --c) {
-      for (int i = c + 1; i < kTile; ++i) left[c] -= panel[(j + i) * size + j + c] * v[j + i];
-      v[j + c] = left[c] * panel[(j + c) * size + j + c];
+  for (int end = size; end > 0;) {
+    int j = (end - 1) / kTile * kTile, count = end - j;
+    Pack sums[kTile][S] = {};
+    if (count == kTile) {
+      for (int i = end; i < rows; ++i)
+        for (int c = 0; c < kTile; ++c)
+          for (int s = 0; s < S; ++s) sums[c][s] += panel[i * size + j + c] * v[i * S + s];
+    } else {
+      for (int i = end; i < rows; ++i)
+        for (int c = 0; c < count; ++c)
+          for (int s = 0; s < S; ++s) sums[c][s] += panel[i * size + j + c] * v[i * S + s];
     }
+    for (int c = count - 1; c >= 0; --c)
+      for (int s = 0; s < S; ++s) {
+        Pack left = v[(j + c) * S + s] - sums[c][s];
+        for (int i = c + 1; i < count; ++i) left -= panel[(j + i) * size + j + c] * v[(j + i) * S + s];
+        v[(j + c) * S + s] = left * panel[(j + c) * size + j + c];
+      }
+    end = j;
   }
 }
 

@@ -62,7 +62,7 @@ class InteriorPoint {
     scaling_.set_unit();
     system_.factor(scaling_, settings_.regularisation);
     for (size_t i = 0; i < rx_.size(); ++i) rx_[i] = -g.q[i];
-    system_.solve(scaling_, rx_, g.b, settings_.refinements, iterate_.x, iterate_.y);
+    system_.solve<1>(scaling_, settings_.refinements, {{rx_, g.b, iterate_.x, iterate_.y}});
     for (size_t i = 0; i < iterate_.s.size(); ++i) iterate_.s[i] = -iterate_.y[i];
     for (int p = 0; p < g.packs; ++p)
       for (int i = 0; i < g.m; ++i) iterate_.s[p * g.cone.size + g.zero + i] = all(0.0);
@@ -98,13 +98,14 @@ class InteriorPoint {
     g.times_hessian(xi_, gradient_);
     for (size_t i = 0; i < gradient_.size(); ++i) gradient_[i] = 2.0 * gradient_[i] + g.q[i];
 
-    for (size_t i = 0; i < rx_.size(); ++i) rx_[i] = -g.q[i];
-    system_.solve(scaling_, rx_, g.b, settings_.refinements, constant_.x, constant_.y);
-    slope_ = slope();
-
-    // the affine direction
+    // the affine direction, and the constant one, which both steps share
     jordan(point_, point_, square_);
-    find(1.0, square_, old.tau * old.kappa, affine_);
+    right_side(1.0, square_);
+    for (size_t i = 0; i < xi_.size(); ++i) dual_[i] = -g.q[i];
+    system_.solve<2>(scaling_, settings_.refinements,
+                     {{dual_, g.b, constant_.x, constant_.y}, {rx_, ry_, affine_.x, affine_.y}});
+    slope_ = slope();
+    assemble(1.0, old.tau * old.kappa, affine_);
     double sigma = std::pow(1.0 - longest_step(old, affine_), 3);
 
     // Mehrotra's combined direction: centring by sigma and second-order correction
@@ -116,12 +117,14 @@ class InteriorPoint {
       for (int i = 0; i < g.r; ++i) target_[p * g.cone.size + i] -= sigma * r.mu;
       for (auto& c : g.cones) target_[p * g.cone.size + c.offset] -= sigma * r.mu;
     }
-    find(1.0 - sigma, target_, old.tau * old.kappa + affine_.tau * affine_.kappa - sigma * r.mu, direction_);
+    right_side(1.0 - sigma, target_);
+    system_.solve<1>(scaling_, settings_.refinements, {{rx_, ry_, direction_.x, direction_.y}});
+    assemble(1.0 - sigma, old.tau * old.kappa + affine_.tau * affine_.kappa - sigma * r.mu, direction_);
     take(0.99 * longest_step(old, direction_));
   }
 
-  // The direction that reduces residuals by ``share`` and moves scaled complementarity by -target.
-  void find(double share, const Packs& target, double target_tau, Iterate& out) {
+  // Residuals reduced by ``share``, scaled complementarity moved by -target.
+  void right_side(double share, const Packs& target) {
     const Program& g = program_;
     const Residuals& r = residuals_;
     for (int p = 0; p < g.packs; ++p) {
@@ -132,9 +135,12 @@ class InteriorPoint {
     scaling_.apply(ry_, lifted_);
     for (size_t i = 0; i < rx_.size(); ++i) rx_[i] = -share * r.x[i];
     for (size_t i = 0; i < ry_.size(); ++i) ry_[i] = lifted_[i] - share * r.y[i];
-    system_.solve(scaling_, rx_, ry_, settings_.refinements, out.x, out.y);
+  }
 
-    double defect = -share * r.tau + target_tau / iterate_.tau - g.dot(gradient_, out.x, g.primal) -
+  // Add the multiple of the constant direction that the embedding's last equation asks for.
+  void assemble(double share, double target_tau, Iterate& out) {
+    const Program& g = program_;
+    double defect = -share * residuals_.tau + target_tau / iterate_.tau - g.dot(gradient_, out.x, g.primal) -
                     g.dot(g.b, out.y, g.cone);
     out.tau = defect / slope_;
     for (size_t i = 0; i < out.x.size(); ++i) out.x[i] += out.tau * constant_.x[i];
@@ -149,8 +155,8 @@ class InteriorPoint {
     const Program& g = program_;
     for (size_t i = 0; i < dual_.size(); ++i) dual_[i] = constant_.x[i] - xi_[i];
     g.times_hessian(dual_, hessian_x_);
-    scaling_.square(constant_.y, lifted_);
-    return -(g.dot(dual_, hessian_x_, g.primal) + g.dot(constant_.y, lifted_, g.cone) + iterate_.kappa / iterate_.tau);
+    scaling_.square(constant_.y, target_);
+    return -(g.dot(dual_, hessian_x_, g.primal) + g.dot(constant_.y, target_, g.cone) + iterate_.kappa / iterate_.tau);
   }
 
   void take(double length) {

@@ -74,15 +74,24 @@ class NewtonSystem {
         chain_(program.nodes + 1, program.m),
         rows_(program.n + 2 * program.m),
         panels_(static_cast<size_t>(program.packs) * rows_ * program.n),
-        below_(static_cast<size_t>(program.packs) * rows_),
-        trust_shift_(static_cast<size_t>(program.packs) * program.n),
-        link_(static_cast<size_t>(program.packs) * program.m),
+        below_(static_cast<size_t>(program.packs) * rows_ * kSides),
+        trust_shift_(static_cast<size_t>(program.packs) * program.n * kSides),
         right_(program.n),
+        both_(program.n * kSides),
+        z_(program.n),
+        link_(program.m),
+        gram_(program.m * program.m),
         wide_(std::max(program.n, program.cone.size)),
-        rx_(program.packs * program.primal.size),
-        ry_(program.packs * program.cone.size),
+        rx_(kSides, Packs(program.packs * program.primal.size)),
+        ry_(kSides, Packs(program.packs * program.cone.size)),
         dx_(rx_),
         dy_(ry_) {}
+
+  // A right side and its solution.
+  struct Side {
+    const Packs &rx, &ry;
+    Packs &x, &y;
+  };
 
   // Eliminate cones and nodes, and factor what remains in the link multipliers.
   void factor(const Scaling& scaling, double regularisation) {
@@ -100,29 +109,45 @@ class NewtonSystem {
       spread(g.before, p, before);
       eliminate(panel, n, rows_);
       int here = p * kWidth;
-      auto add = [](double* at, Pack v) { store(at, load(at) + v); };
-      gram(after, m, after, m, n, [&](int i, int j, Pack v) { add(chain_.diagonal(i, j) + here, g.of_nodes(p, v)); });
-      gram(before, m, before, m, n,
-           [&](int i, int j, Pack v) { add(chain_.diagonal(i, j) + here + 1, g.of_nodes(p, v)); });
-      gram(after, m, before, m, n, [&](int i, int j, Pack v) { store(chain_.above(i, j) + here, g.of_nodes(p, v)); });
+      auto add = [&](const Pack* rows, int shift) {
+        gram(rows, rows, m, n, gram_.data());
+        for (int i = 0; i < m; ++i)
+          for (int j = 0; j <= i; ++j) {
+            double* at = chain_.diagonal(i, j) + here + shift;
+            store(at, load(at) + g.of_nodes(p, gram_[i * m + j]));
+          }
+      };
+      add(after, 0);
+      add(before, 1);
+      gram(after, before, m, n, gram_.data());
+      for (int i = 0; i < m; ++i)
+        for (int j = 0; j < m; ++j) store(chain_.above(i, j) + here, g.of_nodes(p, gram_[i * m + j]));
     }
     chain_.factor();
   }
 
-  // Solve [P A'; A -W^2] (x, y) = (rx, ry). Refinement is against this full system: it brings back the digits that
-  // eliminating cones near their boundary loses.
-  void solve(const Scaling& scaling, const Packs& rx, const Packs& ry, int refinements, Packs& x, Packs& y) {
-    solve_once(scaling, rx, ry, x, y);
+  // Solve [P A'; A -W^2] (x, y) = (rx, ry) for S sides at once. Refinement is against this full system: it brings
+  // back the digits that eliminating cones near their boundary loses.
+  template <int S>
+  void solve(const Scaling& scaling, int refinements, const Side (&sides)[S]) {
+    solve_once<S>(scaling, sides);
     for (int round = 0; round < refinements; ++round) {
-      program_.times_hessian(x, rx_);
-      program_.times_constraints_transposed(y, dx_);
-      for (size_t i = 0; i < x.size(); ++i) rx_[i] = rx[i] - (rx_[i] + dx_[i]);
-      program_.times_constraints(x, ry_);
-      scaling.square(y, dy_);
-      for (size_t i = 0; i < y.size(); ++i) ry_[i] = ry[i] - (ry_[i] - dy_[i]);
-      solve_once(scaling, rx_, ry_, dx_, dy_);
-      for (size_t i = 0; i < x.size(); ++i) x[i] += dx_[i];
-      for (size_t i = 0; i < y.size(); ++i) y[i] += dy_[i];
+      for (int s = 0; s < S; ++s) {
+        const Side& side = sides[s];
+        Packs &rx = rx_[s], &ry = ry_[s], &dx = dx_[s], &dy = dy_[s];
+        program_.times_hessian(side.x, rx);
+        program_.times_constraints_transposed(side.y, dx);
+        for (size_t i = 0; i < rx.size(); ++i) rx[i] = side.rx[i] - (rx[i] + dx[i]);
+        program_.times_constraints(side.x, ry);
+        scaling.square(side.y, dy);
+        for (size_t i = 0; i < ry.size(); ++i) ry[i] = side.ry[i] - (ry[i] - dy[i]);
+      }
+      if constexpr (S == 1) solve_once<1>(scaling, {{rx_[0], ry_[0], dx_[0], dy_[0]}});
+      else solve_once<2>(scaling, {{rx_[0], ry_[0], dx_[0], dy_[0]}, {rx_[1], ry_[1], dx_[1], dy_[1]}});
+      for (int s = 0; s < S; ++s) {
+        for (size_t i = 0; i < dx_[s].size(); ++i) sides[s].x[i] += dx_[s][i];
+        for (size_t i = 0; i < dy_[s].size(); ++i) sides[s].y[i] += dy_[s][i];
+      }
     }
   }
 
@@ -196,60 +221,82 @@ class NewtonSystem {
     }
   }
 
-  void solve_once(const Scaling& s, const Packs& rx, const Packs& ry, Packs& x, Packs& y) {
+  template <int S>
+  void solve_once(const Scaling& w, const Side (&sides)[S]) {
     const Program& g = program_;
     int n = g.n, m = g.m;
     chain_.clear_vector();
     for (int p = 0; p < g.packs; ++p) {
-      const Pack *qx = &rx[p * g.primal.size], *qy = &ry[p * g.cone.size], *w = &s.w[p * g.cone.size];
-      for (int i = 0; i < n; ++i) right_[i] = qx[i];
-      for (int i = 0; i < g.r; ++i) g.rows.add_transposed(p, i, qy[i] / (w[i] * w[i]), right_.data());
-      for (size_t c = 0; c + (g.has_norm ? 2 : 1) < g.cones.size(); ++c) {
-        auto [offset, d, _] = g.cones[c];
-        soc::inverse_square(w + offset, eta(s, p, c), qy + offset, d, wide_.data());
-        for (int i = 0; i < d; ++i) g.user.add_transposed(p, offset - g.r + i, wide_[i], right_.data());
+      for (int s = 0; s < S; ++s) {
+        reduce(w, p, sides[s].rx, sides[s].ry, trust_shift(p, s));
+        for (int i = 0; i < n; ++i) both_[i * S + s] = right_[i];
       }
-      if (g.has_norm) {
-        const Pack* wt = w + g.trust;
-        Pack e = eta(s, p, trust_cone()), head = 2.0 * e * e * wt[0] * qx[g.xi];
-        Pack* shift = &trust_shift_[p * n];
-        for (int i = 0; i < n; ++i) shift[i] = qy[g.trust + 1 + i] - head * wt[1 + i];
-        soc::tail_inverse(wt, e, shift, n, wide_.data());
-        for (int i = 0; i < n; ++i) right_[i] -= g.scale[p * n + i] * wide_[i];
-      }
-      descend(&panels_[static_cast<size_t>(p) * rows_ * n], n, rows_, right_.data(), &below_[p * rows_]);
-      const Pack* wv = w + g.virtual_;
-      Pack e = eta(s, p, virtual_cone()), head = 2.0 * e * e * wv[0] * qx[g.zeta];
-      for (int i = 0; i < m; ++i) {
-        Pack v = g.soft[p * m + i];
-        Pack lacks = (1.0 - v) * qy[g.zero + i] + v * (qy[g.virtual_ + 1 + i] - head * wv[1 + i]);
-        store(chain_.vector(i) + p * kWidth, g.of_links(p, g.of_nodes(p, below_[p * rows_ + n + i]) - lacks));
-      }
+      Pack* v = &below_[p * rows_ * kSides];
+      descend<S>(&panels_[static_cast<size_t>(p) * rows_ * n], n, rows_, both_.data(), v);
+      for (int s = 0; s < S; ++s)
+        for (int i = 0; i < m; ++i) {
+          double* at = chain_.vector(i, s) + p * kWidth;
+          Pack here = g.of_nodes(p, v[(n + i) * S + s]) - lacks(w, p, i, sides[s].rx, sides[s].ry);
+          store(at, load(at) + g.of_links(p, here));
+          store(at + 1, load(at + 1) + g.of_nodes(p, v[(n + m + i) * S + s]));  // to the link after the node
+        }
     }
-    for (int p = 0; p < g.packs; ++p)
-      for (int i = 0; i < m; ++i) {
-        double* at = chain_.vector(i) + p * kWidth + 1;  // what the node gives to the link after it
-        store(at, load(at) + g.of_nodes(p, below_[p * rows_ + n + m + i]));
-      }
-    chain_.solve();
+    chain_.solve<S>();
     for (int p = 0; p < g.packs; ++p) {
-      Pack* v = &below_[p * rows_];
-      for (int i = 0; i < m; ++i) {
-        const double* link = chain_.vector(i) + p * kWidth;
-        v[n + i] = link_[p * m + i] = load(link);
-        v[n + m + i] = load(link + 1);
+      Pack* v = &below_[p * rows_ * kSides];
+      for (int i = 0; i < m; ++i)
+        for (int s = 0; s < S; ++s) {
+          const double* link = chain_.vector(i, s) + p * kWidth;
+          v[(n + i) * S + s] = load(link);
+          v[(n + m + i) * S + s] = load(link + 1);
+        }
+      ascend<S>(&panels_[static_cast<size_t>(p) * rows_ * n], n, rows_, v);
+      for (int s = 0; s < S; ++s) {
+        for (int i = 0; i < n; ++i) z_[i] = v[i * S + s];
+        for (int i = 0; i < m; ++i) link_[i] = v[(n + i) * S + s];
+        conclude(w, p, trust_shift(p, s), sides[s]);
       }
-      ascend(&panels_[static_cast<size_t>(p) * rows_ * n], n, rows_, v);
-      conclude(s, p, v, rx, ry, x, y);
     }
   }
 
-  // Everything that was eliminated, from z and the link multipliers.
-  void conclude(const Scaling& s, int p, const Pack* z, const Packs& rx, const Packs& ry, Packs& x, Packs& y) {
+  Pack* trust_shift(int p, int side) { return &trust_shift_[(p * kSides + side) * program_.n]; }
+
+  // The right side of a node's variables, cones and bounds eliminated, into ``right_``.
+  void reduce(const Scaling& s, int p, const Packs& rx, const Packs& ry, Pack* shift) {
+    const Program& g = program_;
+    int n = g.n;
+    const Pack *qx = &rx[p * g.primal.size], *qy = &ry[p * g.cone.size], *w = &s.w[p * g.cone.size];
+    for (int i = 0; i < n; ++i) right_[i] = qx[i];
+    for (int i = 0; i < g.r; ++i) g.rows.add_transposed(p, i, qy[i] / (w[i] * w[i]), right_.data());
+    for (size_t c = 0; c + (g.has_norm ? 2 : 1) < g.cones.size(); ++c) {
+      auto [offset, d, _] = g.cones[c];
+      soc::inverse_square(w + offset, eta(s, p, c), qy + offset, d, wide_.data());
+      for (int i = 0; i < d; ++i) g.user.add_transposed(p, offset - g.r + i, wide_[i], right_.data());
+    }
+    if (!g.has_norm) return;
+    const Pack* wt = w + g.trust;
+    Pack e = eta(s, p, trust_cone()), head = 2.0 * e * e * wt[0] * qx[g.xi];
+    for (int i = 0; i < n; ++i) shift[i] = qy[g.trust + 1 + i] - head * wt[1 + i];
+    soc::tail_inverse(wt, e, shift, n, wide_.data());
+    for (int i = 0; i < n; ++i) right_[i] -= g.scale[p * n + i] * wide_[i];
+  }
+
+  // The right side of a link's row, its virtual control's bound eliminated.
+  Pack lacks(const Scaling& s, int p, int i, const Packs& rx, const Packs& ry) const {
+    const Program& g = program_;
+    const Pack *qy = &ry[p * g.cone.size], *w = &s.w[p * g.cone.size + g.virtual_];
+    Pack soft = g.soft[p * g.m + i], e = eta(s, p, virtual_cone());
+    Pack tail = qy[g.virtual_ + 1 + i] - 2.0 * e * e * w[0] * rx[p * g.primal.size + g.zeta] * w[1 + i];
+    return (1.0 - soft) * qy[g.zero + i] + soft * tail;
+  }
+
+  // Everything that was eliminated, from ``z_`` and the multipliers ``link_``.
+  void conclude(const Scaling& s, int p, const Pack* shift, const Side& side) {
     const Program& g = program_;
     int n = g.n, m = g.m;
-    const Pack *qx = &rx[p * g.primal.size], *qy = &ry[p * g.cone.size], *w = &s.w[p * g.cone.size];
-    Pack *ox = &x[p * g.primal.size], *oy = &y[p * g.cone.size];
+    const Pack *qx = &side.rx[p * g.primal.size], *qy = &side.ry[p * g.cone.size], *w = &s.w[p * g.cone.size];
+    Pack *ox = &side.x[p * g.primal.size], *oy = &side.y[p * g.cone.size];
+    const Pack* z = z_.data();
     for (int i = 0; i < n; ++i) ox[i] = z[i];
     for (int i = 0; i < g.r; ++i) oy[i] = (g.rows.times(p, i, z) - qy[i]) / (w[i] * w[i]);
     for (size_t c = 0; c + (g.has_norm ? 2 : 1) < g.cones.size(); ++c) {
@@ -262,7 +309,7 @@ class NewtonSystem {
     if (g.has_norm) {
       const Pack *wt = w + g.trust, *scale = &g.scale[p * n];
       Pack e = eta(s, p, trust_cone()), *tail = oy + g.trust + 1;
-      for (int i = 0; i < n; ++i) wide_[i] = -(scale[i] * z[i] + trust_shift_[p * n + i]);
+      for (int i = 0; i < n; ++i) wide_[i] = -(scale[i] * z[i] + shift[i]);
       soc::tail_inverse(wt, e, wide_.data(), n, tail);
       oy[g.trust] = -qx[g.xi];
       ox[g.xi] = -qy[g.trust] - square_head(wt, e, oy + g.trust, 1 + n);
@@ -270,7 +317,7 @@ class NewtonSystem {
     const Pack* wv = w + g.virtual_;
     oy[g.virtual_] = -qx[g.zeta];
     for (int i = 0; i < m; ++i) {
-      Pack v = g.soft[p * m + i], l = link_[p * m + i];
+      Pack v = g.soft[p * m + i], l = link_[i];
       oy[g.zero + i] = (1.0 - v) * l;
       oy[g.virtual_ + 1 + i] = v * l;
     }
@@ -284,7 +331,8 @@ class NewtonSystem {
   const Program& program_;
   Chain chain_;
   int rows_;  // of a panel: z, its link, and the link after it
-  Packs panels_, below_, trust_shift_, link_, right_, wide_, rx_, ry_, dx_, dy_;
+  Packs panels_, below_, trust_shift_, right_, both_, z_, link_, gram_, wide_;
+  std::vector<Packs> rx_, ry_, dx_, dy_;
 };
 
 }  // namespace jaxscp

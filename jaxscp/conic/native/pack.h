@@ -40,6 +40,9 @@ inline Pack one_after(Pack here, Pack after) {
 // Places 0, 2, 4 .. and 1, 3, 5 .. of two packs in a row.
 inline Pack evens(Pack a, Pack b) { return __builtin_shufflevector(a, b, 0, 2, 4, 6, 8, 10, 12, 14); }
 inline Pack odds(Pack a, Pack b) { return __builtin_shufflevector(a, b, 1, 3, 5, 7, 9, 11, 13, 15); }
+// Back again: a0 b0 a1 b1 .. in two packs.
+inline Pack first_of_pairs(Pack a, Pack b) { return __builtin_shufflevector(a, b, 0, 8, 1, 9, 2, 10, 3, 11); }
+inline Pack last_of_pairs(Pack a, Pack b) { return __builtin_shufflevector(a, b, 4, 12, 5, 13, 6, 14, 7, 15); }
 
 inline double sum(Pack v) {
   double total = 0.0;
