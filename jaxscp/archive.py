@@ -19,9 +19,10 @@ from jax.experimental import serialize_executable
 
 from jaxscp.ahead import Plan, Program
 from jaxscp.caching import without_cache
+from jaxscp.conic import native
 from jaxscp.structure import describe
 
-FORMAT = 1
+FORMAT = 2
 PROGRAMS = ("setup", "solve")
 
 
@@ -51,6 +52,7 @@ def write(file: str | os.PathLike, plan: Plan) -> None:
         "results": {"setup": len(plan.solve.shapes), "solve": len(jax.tree.leaves(plan.solution))},
         "platform": jax.default_backend(),
         "machine": machine(),
+        "native": native.available() and jax.default_backend() == "cpu",
     }
     target = pathlib.Path(file)
     partial = target.with_name(f"{target.name}.{os.getpid()}.partial")
@@ -59,8 +61,9 @@ def write(file: str | os.PathLike, plan: Plan) -> None:
             archive.writestr("header.json", json.dumps(header))
             for name in PROGRAMS:
                 program: Program = getattr(plan, name)
-                portable = export.export(program.function)(*program.shapes).serialize()
-                archive.writestr(f"{name}.stablehlo", bytes(portable), zipfile.ZIP_DEFLATED)
+                checks = [export.DisabledSafetyCheck.custom_call(native.TARGET)]
+                portable = export.export(program.function, disabled_checks=checks)(*program.shapes)
+                archive.writestr(f"{name}.stablehlo", bytes(portable.serialize()), zipfile.ZIP_DEFLATED)
                 with without_cache():
                     executable, _, _ = serialize_executable.serialize(program.compiled())
                 archive.writestr(f"{name}.executable", executable)
@@ -95,6 +98,7 @@ def machine() -> dict[str, str]:
         "runtime": device.client.platform_version,
         "host": platform.machine(),
         "instructions": hashlib.sha256(_instructions().encode()).hexdigest(),
+        "interior point": native.level() or "none",
     }
 
 

@@ -7,6 +7,7 @@ import jax
 from jaxscp.ahead import CompiledPlanner
 from jaxscp.archive import InvalidExport, compiled_anew, executables, machine, read
 from jaxscp.certificate import Certificate
+from jaxscp.conic import native
 from jaxscp.lagrangian import FlightMultipliers
 from jaxscp.planner import Solution
 from jaxscp.scp import History
@@ -23,7 +24,7 @@ def load(file: str | os.PathLike, *, compile: bool = True) -> CompiledPlanner:
     The file holds machine code, which a call runs: load none that you would not run as a program. The code is used
     where jax, jaxlib, device and the processor's instruction sets are those that it was made with, and the answers are
     then bitwise those of the planner. Elsewhere the portable form in the file is compiled (``jaxscp.use_cache`` keeps
-    what comes of it).
+    what comes of it). A planner that was exported with the compiled interior point needs it where it is loaded.
 
     Args:
         file: its name.
@@ -41,6 +42,10 @@ def load(file: str | os.PathLike, *, compile: bool = True) -> CompiledPlanner:
         raise InvalidExport(
             f"{file}: exported for {header['platform']}, but JAX runs on {jax.default_backend()}. Export it there, or "
             f"set JAX_PLATFORMS={header['platform']}."
+        )
+    if header["native"] and not native.available():
+        raise InvalidExport(
+            f"{file}: calls the compiled interior point, which is not here; install jaxscp again with a C++ compiler."
         )
     try:
         solution = prototype(header["solution"], _CLASSES)

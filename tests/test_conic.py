@@ -20,9 +20,9 @@ FEASIBLE = 1e-6  # in each row's own unit
 SEEDS = range(12)
 
 
-@pytest.fixture(scope="module")
-def solve():
-    return eqx.filter_jit(InteriorPoint())
+@pytest.fixture(scope="module", params=[True, False], ids=["compiled", "as JAX"])
+def solve(request):
+    return eqx.filter_jit(InteriorPoint(compiled=request.param))
 
 
 def reference(program) -> tuple[str, float]:

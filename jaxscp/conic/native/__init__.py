@@ -25,15 +25,26 @@ TARGET = "jaxscp_interior_point"
 _LEVELS = ("v4", "v3", "any")  # best first
 
 
-@functools.cache
 def available() -> bool:
     """Whether the loop was compiled for this machine; makes it known to XLA."""
-    library = _library()
-    if library is None:
-        return False
+    return level() is not None
+
+
+@functools.cache
+def level() -> str | None:
+    """The instruction set that the loop is compiled for here, if it is: ``v4`` and ``v3`` of x86-64, or ``any``."""
+    for name in _LEVELS:
+        file = Path(__file__).with_name(f"interior_point_{name}.so")
+        if file.exists() and (library := ctypes.CDLL(str(file))).jaxscp_runs_here():
+            return name if register(library, TARGET) else None
+    return None
+
+
+def register(library: ctypes.CDLL, target: str) -> bool:
+    """Make a compiled loop known to XLA by a name; warns where it does not fit."""
     try:
         handler = jax.ffi.pycapsule(library.jaxscp_interior_point)
-        jax.ffi.register_ffi_target(TARGET, handler, platform="cpu")
+        jax.ffi.register_ffi_target(target, handler, platform="cpu")
     except Exception as error:  # XLA's own types, which differ by version
         warnings.warn(
             f"jaxscp: the compiled interior point does not fit this jaxlib, and is left out ({error}); "
@@ -42,16 +53,6 @@ def available() -> bool:
         )
         return False
     return True
-
-
-def _library() -> ctypes.CDLL | None:
-    for level in _LEVELS:
-        file = Path(__file__).with_name(f"interior_point_{level}.so")
-        if file.exists():
-            library = ctypes.CDLL(str(file))
-            if library.jaxscp_runs_here():
-                return library
-    return None
 
 
 def serves(program: StagedProgram) -> bool:

@@ -1,0 +1,108 @@
+"""The interior point's compiled loop against the same loop as JAX."""
+
+import ctypes
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxscp import status_names
+from jaxscp.conic import native
+from jaxscp.conic.equilibrate import equilibrate
+from jaxscp.conic.examples import random_program
+from jaxscp.conic.interior_point import InteriorPoint
+
+pytestmark = pytest.mark.skipif(
+    not native.available(), reason="the interior point was not compiled: no C++ compiler at installation"
+)
+
+ROUNDING = (
+    1e-9  # relative; a few steps amplify rounding that much, as the systems are solved to 1e-11 at worst
+)
+SAME_POINT = 1e-4  # optima of these programs are flat: both loops stop at a gap of 1e-8
+STEPS = 4
+
+
+def iterate(solver, program):
+    return eqx.filter_jit(lambda p: solver.iterate(*equilibrate(p)))(program)
+
+
+def assert_same(a, b, tolerance):
+    for u, v in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
+        size = max(1.0, float(jnp.max(jnp.abs(u), initial=0.0)))
+        np.testing.assert_allclose(v, u, rtol=0, atol=tolerance * size)
+
+
+SHAPES = {
+    "two nodes": {"nodes": 2},
+    "links fill a pack": {"nodes": 7, "variables": 7},
+    "links begin a pack": {"nodes": 8, "cones": 0, "norm": False},
+    "three packs": {"nodes": 17, "variables": 10, "rows": 6, "cones": 2},
+}
+
+
+@pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
+def test_steps_are_the_same_to_rounding(shape):
+    program = random_program(1, **shape)
+    ours, jaxs = (iterate(InteriorPoint(max_iterations=STEPS, compiled=c), program) for c in (True, False))
+    assert int(ours.iterations) == int(jaxs.iterations)
+    assert_same(jaxs.iterate, ours.iterate, ROUNDING)
+    assert_same([jaxs.error, jaxs.infeasibility], [ours.error, ours.infeasibility], ROUNDING)
+
+
+@pytest.fixture(scope="module")
+def both():
+    return tuple(eqx.filter_jit(InteriorPoint(compiled=compiled)) for compiled in (True, False))
+
+
+@pytest.mark.parametrize("norm", [True, False], ids=["norm cost", "quadratic cost"])
+@pytest.mark.parametrize("kind", ["feasible", "infeasible", "unbounded"])
+@pytest.mark.parametrize("seed", range(3))
+def test_end_is_the_same(both, seed, kind, norm):
+    program = random_program(seed, kind=kind, norm=norm)
+    ours, jaxs = (solve(program) for solve in both)
+    assert status_names(ours.status) == status_names(jaxs.status)
+    assert abs(int(ours.iterations) - int(jaxs.iterations)) <= 1
+    if kind == "feasible":
+        assert_same(jaxs.z, ours.z, SAME_POINT)
+
+
+@pytest.mark.parametrize("level", ["v4", "v3", "any"])
+def test_every_level_that_runs_here_gives_the_same(level, monkeypatch):
+    file = Path(native.__file__).with_name(f"interior_point_{level}.so")
+    if not file.exists():
+        pytest.skip(f"{level} is not built for this kind of machine")
+    library = ctypes.CDLL(str(file))
+    if not library.jaxscp_runs_here():
+        pytest.skip(f"this machine lacks the instructions of {level}")
+    program = random_program(2, nodes=17)
+    expected = iterate(InteriorPoint(max_iterations=STEPS), program)
+    assert native.register(library, f"jaxscp_test_{level}")
+    monkeypatch.setattr(native, "TARGET", f"jaxscp_test_{level}")
+    assert_same(expected.iterate, iterate(InteriorPoint(max_iterations=STEPS), program).iterate, ROUNDING)
+
+
+def test_lanes_are_bitwise_those_solved_alone(both):
+    """Batched twice, with one lane of NaN: workers are used again, and must keep nothing of a lane before."""
+    programs = [random_program(seed) for seed in range(6)]
+    poisoned = eqx.tree_at(lambda p: p.gradient, programs[2], programs[2].gradient * jnp.nan)
+    batch = jax.tree.map(
+        lambda *v: jnp.stack(v).reshape(2, 3, *v[0].shape), *programs[:2], poisoned, *programs[3:]
+    )
+    found = jax.tree.map(
+        lambda v: v.reshape(6, *v.shape[2:]), jax.jit(jax.vmap(jax.vmap(InteriorPoint())))(batch)
+    )
+    for lane in (0, 1, 3, 4, 5):
+        np.testing.assert_array_equal(found.z[lane], both[0](programs[lane]).z)
+
+
+def test_float32_and_refusal_run_as_jax():
+    program = random_program(0)
+    calls = lambda solver, p: native.TARGET in jax.jit(solver.__call__).lower(p).as_text()  # noqa: E731
+    assert calls(InteriorPoint(), program)
+    assert not calls(InteriorPoint(compiled=False), program)
+    small = jax.tree.map(lambda v: v.astype(jnp.float32), program)
+    assert not native.serves(small)
