@@ -63,6 +63,41 @@ def where_needed(needed: Flag, act: Callable[[Any, State], State], fixed: Any, s
     return end
 
 
+def in_tiles(act: Callable[[Any], State], fixed: Any) -> State:
+    """``act(fixed)``; under ``vmap``, a tile of lanes at a time, so that what it holds meanwhile is held for a tile.
+
+    It has no derivative: keep those of ``fixed`` away by ``jax.lax.stop_gradient``.
+
+    Example:
+        >>> import jax, jax.numpy as jnp
+        >>> from jaxscp.lanes import in_tiles
+        >>> jax.vmap(lambda v: in_tiles(jnp.sum, v))(jnp.ones((3, 5))).tolist()
+        [5.0, 5.0, 5.0]
+    """
+    arrays, rest = eqx.partition(fixed, eqx.is_array)
+    once = lambda arrays: act(eqx.combine(arrays, rest))  # noqa: E731
+
+    @custom_vmap
+    def one(arrays):
+        return once(arrays)
+
+    @one.def_vmap
+    def _(lanes, batched, arrays):
+        blank = jax.tree.map(
+            lambda v: jnp.zeros(v.shape, v.dtype), jax.eval_shape(once, lane_of(batched, arrays))
+        )
+        axes = jax.tree.map(lambda b: 0 if b else None, batched[0])
+        tiled = lambda arrays: where_needed(  # noqa: E731
+            jnp.ones((), bool), lambda arrays, _: once(arrays), arrays, blank
+        )
+        return _all(jax.vmap(tiled, in_axes=(axes,), axis_size=lanes)(arrays))
+
+    def lane_of(batched, arrays):
+        return jax.tree.map(lambda v, b: v[0] if b else v, arrays, batched[0])
+
+    return one(arrays)
+
+
 def _many(unfinished, step, lanes: int, every):
     """The loop for a batch. Under another ``vmap``, that of one larger batch.
 

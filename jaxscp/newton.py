@@ -296,7 +296,7 @@ class NewtonSCP(eqx.Module):
         The subproblems lead near the optimum, and the interior point from there to it. Where it fails, the
         subproblems go on to an end of their own, closer by.
         """
-        start = self.init(problem, z)
+        start = lanes.in_tiles(lambda fixed: self.init(*fixed), (problem, z))
         start = eqx.tree_at(lambda s: s.done, start, ~jnp.asarray(wanted))
 
         def attempt(state, slack):

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
-from jaxscp import ahead, archive
+from jaxscp import ahead, archive, lanes
 from jaxscp.allocation import allocate
 from jaxscp.certificate import Certificate, acceptable, certify
 from jaxscp.initial_guess import initial_guess
@@ -158,8 +158,7 @@ class Planner(eqx.Module):
         """Certify what the iterations ended with, the method's own state."""
         trajectory = trajectory_of(problem, answer.z)
         frozen, flown = jax.lax.stop_gradient((problem, trajectory))
-        optimality = self.method.optimality(frozen, state)
-        certificate = certify(frozen, flown, self.samples, optimality)
+        certificate = lanes.in_tiles(lambda fixed: self._certify(*fixed), (frozen, state, flown))
         refuted = (state.status == Status.converged) & ~acceptable(
             certificate, self.method.holds_between_nodes
         )
@@ -177,6 +176,9 @@ class Planner(eqx.Module):
             z=answer.z,
             allocation=allocation,
         )
+
+    def _certify(self, problem: OptimalControlProblem, state: Any, flown: Trajectory) -> Certificate:
+        return certify(problem, flown, self.samples, self.method.optimality(problem, state))
 
 
 def trajectory_of(problem: OptimalControlProblem, z: Float[Array, "nodes variables"]) -> Trajectory:

@@ -133,3 +133,17 @@ def test_each_device_steps_its_own_lanes():
     )
     assert done.returncode == 0, done.stderr
     np.testing.assert_array_equal([int(v) for v in done.stdout.split()], 2 ** (np.arange(20) % 7))
+
+
+@pytest.mark.parametrize("lanes_of", [(3,), (20,), (2, 9)], ids=str)
+def test_tiles_give_what_all_lanes_at_once_give(lanes_of):
+    """Also with another argument that the lanes share, in two batches inside each other, and in none."""
+    own = jax.random.normal(jax.random.key(0), (*lanes_of, 4))
+    shared = jnp.arange(4.0)
+    act = lambda fixed: {"dot": jnp.vdot(*fixed), "sum": fixed[0] + fixed[1]}  # noqa: E731
+    tiled, plain = lambda v: lanes.in_tiles(act, (v, shared)), lambda v: act((v, shared))
+    for _ in lanes_of:
+        tiled, plain = jax.vmap(tiled), jax.vmap(plain)
+    jax.tree.map(np.testing.assert_allclose, jax.jit(tiled)(own), plain(own))
+    alone = own[(0,) * len(lanes_of)]
+    jax.tree.map(np.testing.assert_array_equal, lanes.in_tiles(act, (alone, shared)), act((alone, shared)))
