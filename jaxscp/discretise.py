@@ -35,6 +35,7 @@ def interval_inputs(problem: OptimalControlProblem, z: Float[Array, "nodes varia
     return jnp.concatenate([z[:-1], z[1:, problem.state_size :]], axis=1)
 
 
+@eqx.filter_jit  # traced once for all calls of one program
 def discretise(
     problem: OptimalControlProblem, z: Float[Array, "nodes variables"], substeps: int
 ) -> Discretisation:

@@ -10,6 +10,7 @@ how L changes where something is added to it. Nothing is approximate here. Forwa
 integration gives the same, but goes through the chain anew for every direction.
 """
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -36,6 +37,7 @@ from jaxscp.lagrangian import FlightMultipliers
 from jaxscp.problem import OptimalControlProblem
 
 
+@eqx.filter_jit  # traced once for all calls of one program
 def expand(
     problem: OptimalControlProblem, z: Float[Array, "nodes variables"], y: FlightMultipliers, grid: Grid
 ) -> tuple[Linearisation, Float[Array, "intervals inputs inputs"]]:

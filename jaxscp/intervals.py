@@ -78,6 +78,7 @@ def path_outputs(
     return Outputs(states[-1], cost, values)
 
 
+@eqx.filter_jit  # traced once for all calls of one program
 def evaluate(problem: OptimalControlProblem, z: Float[Array, "nodes variables"], grid: Grid) -> Outputs:
     """Outputs of every interval."""
     one = lambda w, p: interval_outputs(problem, w, p, grid)  # noqa: E731

@@ -116,6 +116,8 @@ class InteriorPoint(eqx.Module):
         """The loop itself, on an equilibrated program."""
         if not (self.compiled and native.serves(program)):
             return self._iterate(program, scales)
+        if jax.default_backend() == "cpu":  # which spares tracing what another device would run
+            return self._iterate_natively(program, scales)
         return jax.lax.platform_dependent(program, scales, cpu=self._iterate_natively, default=self._iterate)
 
     def _iterate(self, program: StagedProgram, scales: Scales) -> Ended:
