@@ -23,12 +23,12 @@ int64_t from_end(const Buffer& v, int axis) {
   return d[d.size() - axis];
 }
 
-// ``work(lane, worker)`` for every lane. The caller takes part, and waits only for helpers that have begun, so that a
-// pool with no thread to spare cannot hold it up.
+// ``work(lane)`` for every lane. The caller takes part, and waits only for helpers that have begun, so that a pool with
+// no thread to spare cannot hold it up.
 template <typename Work>
-void share(ffi::ThreadPool& pool, int64_t lanes, int64_t workers, Work work) {
+void share(ffi::ThreadPool& pool, int64_t lanes, const Work& work) {
   struct State {
-    std::atomic<int64_t> next{0}, worker{0};
+    std::atomic<int64_t> next{0};
     std::mutex lock;
     std::condition_variable idle;
     int busy = 0;
@@ -36,10 +36,9 @@ void share(ffi::ThreadPool& pool, int64_t lanes, int64_t workers, Work work) {
   };
   auto state = std::make_shared<State>();
   auto take = [lanes](State& s, const Work& work) {
-    int64_t worker = s.worker++;
-    for (int64_t lane; (lane = s.next++) < lanes;) work(lane, worker);
+    for (int64_t lane; (lane = s.next++) < lanes;) work(lane);
   };
-  for (int64_t i = 1; i < workers; ++i)
+  for (int64_t i = 1; i < std::min<int64_t>(lanes, pool.num_threads()); ++i)
     pool.Schedule([state, take, &work] {
       {
         std::lock_guard<std::mutex> hold(state->lock);
@@ -57,6 +56,23 @@ void share(ffi::ThreadPool& pool, int64_t lanes, int64_t workers, Work work) {
   state->idle.wait(hold, [&] { return state->busy == 0; });
 }
 
+// A program's room and its solver's. Each thread keeps its last one: to find room anew takes longer than a step.
+struct Worker {
+  Sizes sizes;
+  Settings settings;
+  Program program;
+  InteriorPoint solver;
+
+  Worker(const Sizes& sizes, const Settings& settings)
+      : sizes(sizes), settings(settings), program(sizes), solver(program, settings) {}
+
+  static Worker& of_thread(const Sizes& sizes, const Settings& settings) {
+    thread_local std::unique_ptr<Worker> kept;
+    if (!kept || !(kept->sizes == sizes && kept->settings == settings)) kept = std::make_unique<Worker>(sizes, settings);
+    return *kept;
+  }
+};
+
 ffi::Error solve(ffi::ThreadPool pool, Buffer hessian, Buffer gradient, Buffer before, Buffer after, Buffer link_offset,
                  Buffer soft, Buffer link_weight, Buffer row_matrix, Buffer row_offset, Buffer cost_scale,
                  ffi::RemainingArgs others, Result z, Result xi, Result zeta, Result y_zero, Result y_orthant,
@@ -67,6 +83,7 @@ ffi::Error solve(ffi::ThreadPool pool, Buffer hessian, Buffer gradient, Buffer b
   Settings settings{tolerance, proof_tolerance, loose_tolerance, regularisation, static_cast<int>(max_iterations),
                     static_cast<int>(refinements)};
   int N = from_end(gradient, 2), n = from_end(gradient, 1), m = from_end(soft, 1), r = from_end(row_offset, 1);
+  Sizes sizes{N, n, m, r, {}, has_norm};
   int64_t lanes = cost_scale.element_count();
   std::vector<Buffer> more;
   for (size_t i = 0; i < others.size(); ++i) {
@@ -75,16 +92,15 @@ ffi::Error solve(ffi::ThreadPool pool, Buffer hessian, Buffer gradient, Buffer b
     more.push_back(*v);
   }
   size_t groups = (more.size() - (has_norm ? 3 : 0)) / 2;
+  for (size_t i = 0; i < groups; ++i)
+    sizes.cones.push_back({static_cast<int>(from_end(more[2 * i + 1], 2)), static_cast<int>(from_end(more[2 * i + 1], 1))});
   int width = from_end(*y_second, 1), cones = from_end(*y_second, 2);
 
   auto given = [&](int64_t lane) {
     auto at = [&](const Buffer& v) { return v.typed_data() + lane * (v.element_count() / lanes); };
-    Given g{N, n, m, r, at(hessian), at(gradient), at(before), at(after), at(link_offset), at(soft), at(link_weight),
+    Given g{at(hessian), at(gradient), at(before), at(after), at(link_offset), at(soft), at(link_weight),
             at(row_matrix), at(row_offset), {}};
-    for (size_t i = 0; i < groups; ++i) {
-      const Buffer &matrix = more[2 * i], &offset = more[2 * i + 1];
-      g.cones.push_back({static_cast<int>(from_end(offset, 2)), static_cast<int>(from_end(offset, 1)), at(matrix), at(offset)});
-    }
+    for (size_t i = 0; i < groups; ++i) g.cones.push_back({at(more[2 * i]), at(more[2 * i + 1])});
     if (has_norm) {
       g.norm_weight = at(more[2 * groups]), g.norm_scale = at(more[2 * groups + 1]);
       g.norm_centre = at(more[2 * groups + 2]);
@@ -92,34 +108,25 @@ ffi::Error solve(ffi::ThreadPool pool, Buffer hessian, Buffer gradient, Buffer b
     return g;
   };
   // Second-order cones in the order of ``kkt._pack``: the user's groups, trust region, virtual control.
-  auto put_cones = [&](const Program& p, const Given& g, const Packs& from, double* to) {
+  auto put_cones = [&](const Program& p, const Packs& from, double* to) {
     std::fill_n(to, static_cast<int64_t>(cones) * width, 0.0);
-    auto group = [&](int offset, int count, int dimension, int places) {
+    auto group = [&](int offset, ConeShape shape, int places) {
       for (int k = 0; k < places; ++k)
-        for (int c = 0; c < count; ++c, to += width)
-          for (int i = 0; i < dimension; ++i)
-            to[i] = from[(k / kWidth) * p.cone.size + offset + c * dimension + i][k % kWidth];
+        for (int c = 0; c < shape.count; ++c, to += width)
+          for (int i = 0; i < shape.dimension; ++i)
+            to[i] = from[(k / kWidth) * p.cone.size + offset + c * shape.dimension + i][k % kWidth];
     };
     int offset = r;
-    for (auto& c : g.cones) group(offset, c.count, c.dimension, N), offset += c.count * c.dimension;
-    if (has_norm) group(p.trust, 1, 1 + n, N);
-    group(p.virtual_, 1, 1 + m, N + 1);
+    for (auto& c : sizes.cones) group(offset, c, N), offset += c.count * c.dimension;
+    if (has_norm) group(p.trust, {1, 1 + n}, N);
+    group(p.virtual_, {1, 1 + m}, N + 1);
   };
 
-  int64_t workers = std::max<int64_t>(1, std::min<int64_t>(lanes, pool.num_threads()));
-  struct Worker {
-    Program program;
-    InteriorPoint solver;
-    Worker(const Given& g, const Settings& s) : program(g), solver(program, s) {}
-  };
-  std::vector<std::unique_ptr<Worker>> crew(workers);
-  share(pool, lanes, workers, [&](int64_t lane, int64_t number) {
-    Given g = given(lane);
-    auto& worker = crew[number];
-    if (worker) worker->program.read(g);
-    else worker = std::make_unique<Worker>(g, settings);
-    const Program& p = worker->program;
-    InteriorPoint& solver = worker->solver;
+  share(pool, lanes, [&](int64_t lane) {
+    Worker& worker = Worker::of_thread(sizes, settings);
+    worker.program.read(given(lane));
+    const Program& p = worker.program;
+    InteriorPoint& solver = worker.solver;
     solver.run(cost_scale.typed_data()[lane]);
 
     const Iterate& v = solver.iterate();
@@ -130,8 +137,8 @@ ffi::Error solve(ffi::ThreadPool pool, Buffer hessian, Buffer gradient, Buffer b
     scatter(v.y, p.zero, p.cone.size, N + 1, m, at(y_zero));
     scatter(v.y, 0, p.cone.size, N, r, at(y_orthant));
     scatter(v.s, 0, p.cone.size, N, r, at(s_orthant));
-    put_cones(p, g, v.y, at(y_second));
-    put_cones(p, g, v.s, at(s_second));
+    put_cones(p, v.y, at(y_second));
+    put_cones(p, v.s, at(s_second));
     *at(tau) = v.tau, *at(kappa) = v.kappa, *at(error) = solver.residuals().error;
     *at(infeasibility) = solver.residuals().infeasibility, *at(unboundedness) = solver.residuals().unboundedness;
     iterations->typed_data()[lane] = solver.iterations;

@@ -26,37 +26,34 @@ class Scaling {
   }
 
   void set(const Packs& s, const Packs& y) {
-    each([&](int at, int) { w[at] = root(s[at] / y[at]); },
-         [&](int at, int d, Pack& e) { soc::scaling(&s[at], &y[at], d, &w[at], e); });
+    each([&](int at) { w[at] = root(s[at] / y[at]); },
+         [&](int at, int d, int c) { soc::scaling(&s[at], &y[at], d, &w[at], eta[c]); });
   }
 
   // out = W v, and zero on the zero cone
   void apply(const Packs& v, Packs& out) const {
     clear_zero(out);
-    each([&](int at, int) { out[at] = w[at] * v[at]; },
-         [&](int at, int d, Pack e) { soc::scale(&w[at], e, 1.0, &v[at], d, &out[at]); });
+    each([&](int at) { out[at] = w[at] * v[at]; },
+         [&](int at, int d, int c) { soc::scale(&w[at], eta[c], 1.0, &v[at], d, &out[at]); });
   }
   void apply_inverse(const Packs& v, Packs& out) const {
     clear_zero(out);
-    each([&](int at, int) { out[at] = v[at] / w[at]; },
-         [&](int at, int d, Pack e) { soc::scale(&w[at], e, -1.0, &v[at], d, &out[at]); });
+    each([&](int at) { out[at] = v[at] / w[at]; },
+         [&](int at, int d, int c) { soc::scale(&w[at], eta[c], -1.0, &v[at], d, &out[at]); });
   }
   void square(const Packs& v, Packs& out) const {
     clear_zero(out);
-    each([&](int at, int) { out[at] = w[at] * w[at] * v[at]; },
-         [&](int at, int d, Pack e) { soc::square(&w[at], e, &v[at], d, &out[at]); });
+    each([&](int at) { out[at] = w[at] * w[at] * v[at]; },
+         [&](int at, int d, int c) { soc::square(&w[at], eta[c], &v[at], d, &out[at]); });
   }
 
  private:
-  // Half-spaces and cones of every pack.
+  // Half-spaces and cones of every pack: their places in a ConeVector, and in ``eta``.
   template <typename HalfSpace, typename SecondOrder>
   void each(HalfSpace half_space, SecondOrder second_order) const {
-    int count = static_cast<int>(program_.cones.size());
-    for (int p = 0; p < program_.packs; ++p) {
-      for (int i = 0; i < program_.r; ++i) half_space(p * program_.cone.size + i, p);
-      for (int c = 0; c < count; ++c)
-        second_order(p * program_.cone.size + program_.cones[c].offset, program_.cones[c].dimension,
-                     const_cast<Pack&>(eta[p * count + c]));
+    for (int p = 0, c = 0; p < program_.packs; ++p) {
+      for (int i = 0; i < program_.r; ++i) half_space(p * program_.cone.size + i);
+      for (auto& cone : program_.cones) second_order(p * program_.cone.size + cone.offset, cone.dimension, c++);
     }
   }
   void clear_zero(Packs& out) const {

@@ -5,23 +5,34 @@
 // A node's pack owns what the node itself adds to a vector, and what the link before it adds: link l is node l's.
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 
 #include "pack.h"
 
 namespace jaxscp {
 
+struct ConeShape {
+  int count, dimension;
+  bool operator==(const ConeShape&) const = default;
+};
+
+// All that the sizes of arrays follow from.
+struct Sizes {
+  int nodes, variables, link_rows, rows;
+  std::vector<ConeShape> cones;
+  bool has_norm;
+  bool operator==(const Sizes&) const = default;
+};
+
 // What the program is made of, row-major, the chain first.
 struct Given {
-  int nodes, variables, link_rows, rows;
   const double *hessian, *gradient, *before, *after, *link_offset, *soft, *link_weight, *row_matrix, *row_offset;
   struct ConeGroup {
-    int count, dimension;
     const double *matrix, *offset;
   };
   std::vector<ConeGroup> cones;
   const double *norm_weight = nullptr, *norm_scale = nullptr, *norm_centre = nullptr;
-  bool has_norm() const { return norm_weight != nullptr; }
 };
 
 // Takes entries of ``size`` numbers at each of the first ``count`` places into packs, ``stride`` packs an entry apart.
@@ -97,7 +108,7 @@ struct Cone {
   bool of_link;
 };
 
-// Where the parts of a vector lie: those of a node first, then those of its link.
+// How many packs a vector has of each eight places: those of a node first, then those of its link.
 struct Shape {
   int size = 0, of_node = 0;
 };
@@ -115,16 +126,16 @@ class Program {
   double degree;  // number of complementarity pairs
   bool has_norm;
 
-  explicit Program(const Given& g) {
-    nodes = g.nodes, n = g.variables, m = g.link_rows, r = g.rows, has_norm = g.has_norm();
+  explicit Program(const Sizes& sizes) : groups_(sizes.cones) {
+    nodes = sizes.nodes, n = sizes.variables, m = sizes.link_rows, r = sizes.rows, has_norm = sizes.has_norm;
     packs = packs_for(nodes + 1);
     u = 0;
-    for (auto& c : g.cones) u += c.count * c.dimension;
+    for (auto& c : groups_) u += c.count * c.dimension;
     t = has_norm ? 1 + n : 0;
     xi = n, zeta = n + 1, primal = {n + 2, n + 1};
     trust = r + u, zero = trust + t, virtual_ = zero + m, cone = {virtual_ + 1 + m, zero};
     int at = r;
-    for (auto& c : g.cones)
+    for (auto& c : groups_)
       for (int i = 0; i < c.count; ++i, at += c.dimension) cones.push_back({at, c.dimension, false});
     if (has_norm) cones.push_back({trust, t, false});
     cones.push_back({virtual_, 1 + m, true});
@@ -138,10 +149,8 @@ class Program {
     }
     scale.resize(packs * n), soft.resize(packs * m);
     q.resize(packs * primal.size), b.resize(packs * cone.size);
-    read(g);
   }
 
-  // Another program of the same shapes.
   void read(const Given& g) {
     hessian.set(g.hessian, nodes, packs, n, n, n * n);
     after.set(g.after, nodes, packs, m, n, m * n);
@@ -149,10 +158,10 @@ class Program {
     rows.set(g.row_matrix, nodes, packs, r, n, r * n);
     std::vector<double> joined(static_cast<size_t>(nodes) * u * n);
     int at = 0;
-    for (auto& c : g.cones) {
-      int size = c.count * c.dimension;
+    for (size_t i = 0; i < groups_.size(); ++i) {
+      int size = groups_[i].count * groups_[i].dimension;
       for (int k = 0; k < nodes; ++k)
-        std::copy_n(c.matrix + static_cast<size_t>(k) * size * n, size * n, &joined[(static_cast<size_t>(k) * u + at) * n]);
+        std::copy_n(g.cones[i].matrix + static_cast<size_t>(k) * size * n, size * n, &joined[(static_cast<size_t>(k) * u + at) * n]);
       at += size;
     }
     user.set(joined.data(), nodes, packs, u, n, u * n);
@@ -164,9 +173,10 @@ class Program {
     gather(g.link_weight, nodes + 1, 1, q, zeta, primal.size);
     gather(g.row_offset, nodes, r, b, 0, cone.size, 1.0);
     at = r;
-    for (auto& c : g.cones) {
-      gather(c.offset, nodes, c.count * c.dimension, b, at, cone.size);
-      at += c.count * c.dimension;
+    for (size_t i = 0; i < groups_.size(); ++i) {
+      int size = groups_[i].count * groups_[i].dimension;
+      gather(g.cones[i].offset, nodes, size, b, at, cone.size);
+      at += size;
     }
     if (has_norm) {
       gather(g.norm_weight, nodes, 1, q, xi, primal.size);
@@ -278,6 +288,7 @@ class Program {
   }
 
  private:
+  std::vector<ConeShape> groups_;
   mutable Packs carry_, link_;
 };
 
