@@ -57,8 +57,8 @@ def compile_library(compiler: str, folder: Path, level: str, machine: tuple[str,
     with tempfile.TemporaryDirectory() as scratch:
         objects = [Path(scratch) / name for name in ("handler.o", "runs_here.o")]
         run(compiler, *FLAGS, *machine, "-isystem", headers, "-c", folder / "handler.cc", "-o", objects[0])
-        name = f'-DJAXSCP_LEVEL="x86-64-{level}"' if machine else "-DJAXSCP_ANY"
-        run(compiler, *FLAGS, name, "-c", folder / "runs_here.cc", "-o", objects[1])
+        number = level.removeprefix("v") if machine else "0"
+        run(compiler, *FLAGS, f"-DJAXSCP_LEVEL={number}", "-c", folder / "runs_here.cc", "-o", objects[1])
         run(compiler, "-shared", *objects, "-o", library)
     return library
 
