@@ -148,3 +148,17 @@ def test_step_ends_on_the_boundary(point, direction):
 def test_iteration_limit_is_a_status():
     solution = eqx.filter_jit(InteriorPoint(max_iterations=2))(random_program(0))
     assert bool(solution.status == Status.iteration_limit)
+
+
+def test_derivatives_of_the_iterations_are_refused(solve):
+    program = random_program(0)
+
+    def cost(gradient, freeze):
+        moved = eqx.tree_at(lambda p: p.gradient, program, gradient)
+        return jnp.sum(solve(jax.lax.stop_gradient(moved) if freeze else moved).z)
+
+    with pytest.raises(TypeError, match="ConicLayer"):
+        jax.grad(cost)(program.gradient, False)
+    with pytest.raises(TypeError, match="ConicLayer"):
+        jax.jvp(lambda g: cost(g, False), (program.gradient,), (program.gradient,))
+    assert not jnp.any(jax.grad(cost)(program.gradient, True))

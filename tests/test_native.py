@@ -106,3 +106,17 @@ def test_float32_and_refusal_run_as_jax():
     assert not calls(InteriorPoint(compiled=False), program)
     small = jax.tree.map(lambda v: v.astype(jnp.float32), program)
     assert not native.serves(small)
+
+
+@pytest.mark.parametrize("batched", [False, True], ids=["one", "batch"])
+def test_another_device_runs_jax(batched, monkeypatch):
+    """Where JAX's default device is another, one program serves both: each takes its own loop."""
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    solver = InteriorPoint(max_iterations=1)
+    program, solve = random_program(0), solver.__call__
+    if batched:
+        program, solve = jax.tree.map(lambda v: jnp.stack([v, v]), program), jax.vmap(solve)
+    traced = jax.jit(solve).trace(program)
+    for platform in ("cpu", "cuda"):
+        text = traced.lower(lowering_platforms=(platform,)).as_text()
+        assert (native.TARGET in text) == (platform == "cpu")

@@ -77,7 +77,7 @@ class InteriorPoint(eqx.Module):
 
     The Newton system is reduced to one block tridiagonal matrix (``kkt``), so that work and memory grow
     linearly with the number of nodes. In float64 on a CPU the loop is the compiled one of ``conic.native``, where
-    that was built; elsewhere it is pure JAX.
+    that was built; elsewhere it is pure JAX. It has no derivative; ``ConicLayer`` has.
 
     Args:
         tolerance: relative gap and residuals at which a program counts as solved.
@@ -114,6 +114,7 @@ class InteriorPoint(eqx.Module):
 
     def iterate(self, program: StagedProgram, scales: Scales) -> Ended:
         """The loop itself, on an equilibrated program."""
+        program, scales = _without_derivative((program, scales))
         if not (self.compiled and native.serves(program)):
             return self._iterate(program, scales)
         if jax.default_backend() == "cpu":  # which spares tracing what another device would run
@@ -207,6 +208,20 @@ class InteriorPoint(eqx.Module):
         keep = broken | (stalled & (residuals.error > r.error))
         new, residuals = jax.tree.map(lambda a, b: jnp.where(keep, a, b), (old, r), (new, residuals))
         return Progress(new, residuals, progress.iterations + 1, stalled, broken)
+
+
+@jax.custom_jvp
+def _without_derivative(given):
+    """What the iterations start from; to differentiate them is an error, whatever device they run on."""
+    return given
+
+
+@_without_derivative.defjvp
+def _refuse(primals, tangents):
+    raise TypeError(
+        "the interior point has no derivative: jaxscp.conic.ConicLayer is the conic step as a differentiable function; "
+        "where none is wanted, give it jax.lax.stop_gradient(program)"
+    )
 
 
 def restored(
