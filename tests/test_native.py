@@ -1,8 +1,5 @@
 """The interior point's compiled loop against the same loop as JAX."""
 
-import ctypes
-from pathlib import Path
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -70,14 +67,11 @@ def test_end_is_the_same(both, seed, kind, norm):
         assert_same(jaxs.z, ours.z, SAME_POINT)
 
 
-@pytest.mark.parametrize("level", ["v4", "v3", "any"])
+@pytest.mark.parametrize("level", native.LEVELS)
 def test_every_level_that_runs_here_gives_the_same(level, monkeypatch):
-    file = Path(native.__file__).with_name(f"interior_point_{level}.so")
-    if not file.exists():
-        pytest.skip(f"{level} is not built for this kind of machine")
-    library = ctypes.CDLL(str(file))
-    if not library.jaxscp_runs_here():
-        pytest.skip(f"this machine lacks the instructions of {level}")
+    library = native.library(level)
+    if library is None:
+        pytest.skip(f"{level} is not built for this kind of machine, or it lacks the instructions")
     program = random_program(2, nodes=17)
     expected = iterate(InteriorPoint(max_iterations=STEPS), program)
     assert native.register(library, f"jaxscp_test_{level}")

@@ -22,7 +22,7 @@ from jaxscp.conic.program import StagedProgram
 from jaxscp.types import Scalar
 
 TARGET = "jaxscp_interior_point"
-_LEVELS = ("v4", "v3", "any")  # best first
+LEVELS = ("v4", "v3", "any")  # best first
 
 
 def available() -> bool:
@@ -33,11 +33,19 @@ def available() -> bool:
 @functools.cache
 def level() -> str | None:
     """The instruction set that the loop is compiled for here, if it is: ``v4`` and ``v3`` of x86-64, or ``any``."""
-    for name in _LEVELS:
-        file = Path(__file__).with_name(f"interior_point_{name}.so")
-        if file.exists() and (library := ctypes.CDLL(str(file))).jaxscp_runs_here():
-            return name if register(library, TARGET) else None
+    for name in LEVELS:
+        if (found := library(name)) is not None:
+            return name if register(found, TARGET) else None
     return None
+
+
+def library(level: str) -> ctypes.CDLL | None:
+    """The loop compiled for an instruction set, if it was and this machine has that."""
+    file = Path(__file__).with_name(f"interior_point_{level}.so")
+    if not file.exists():
+        return None
+    found = ctypes.CDLL(str(file))
+    return found if found.jaxscp_runs_here() else None
 
 
 def register(library: ctypes.CDLL, target: str) -> bool:

@@ -37,6 +37,8 @@ class InteriorPoint {
 
   void run(double cost_scale) {
     cost_scale_ = cost_scale;
+    size_q_ = std::max(1.0, program_.largest_of(program_.q, program_.primal));
+    size_b_ = std::max(1.0, program_.largest_of(program_.b, program_.cone));
     start();
     measure(iterate_, residuals_);
     iterations = 0;
@@ -65,8 +67,7 @@ class InteriorPoint {
     for (size_t i = 0; i < rx_.size(); ++i) rx_[i] = -g.q[i];
     system_.solve<1>(scaling_, settings_.refinements, {{rx_, g.b, iterate_.x, iterate_.y}});
     for (size_t i = 0; i < iterate_.s.size(); ++i) iterate_.s[i] = -iterate_.y[i];
-    for (int p = 0; p < g.packs; ++p)
-      for (int i = 0; i < g.m; ++i) iterate_.s[p * g.cone.size + g.zero + i] = all(0.0);
+    g.clear_zero_cone(iterate_.s);
     lift_inside(iterate_.s);
     lift_inside(iterate_.y);
     // The bounds of the norms follow their cones, so that those rows start without residual.
@@ -79,13 +80,8 @@ class InteriorPoint {
 
   // Move every cone's part at least one unit inside its cone.
   void lift_inside(Packs& v) const {
-    const Program& g = program_;
-    for (int p = 0; p < g.packs; ++p) {
-      Pack* part = &v[p * g.cone.size];
-      for (int i = 0; i < g.r; ++i) part[i] = larger(part[i], all(1.0));
-      for (auto& c : g.cones)
-        part[c.offset] = larger(part[c.offset], soc::tail_norm(part + c.offset, c.dimension) + 1.0);
-    }
+    program_.each([&](int at) { v[at] = larger(v[at], all(1.0)); },
+                  [&](int at, int d, int) { v[at] = larger(v[at], soc::tail_norm(&v[at], d) + 1.0); });
   }
 
   void step() {
@@ -114,10 +110,7 @@ class InteriorPoint {
     scaling_.apply(affine_.y, target_);
     jordan(lifted_, target_, target_);
     for (size_t i = 0; i < target_.size(); ++i) target_[i] += square_[i];
-    for (int p = 0; p < g.packs; ++p) {
-      for (int i = 0; i < g.r; ++i) target_[p * g.cone.size + i] -= sigma * r.mu;
-      for (auto& c : g.cones) target_[p * g.cone.size + c.offset] -= sigma * r.mu;
-    }
+    g.each([&](int at) { target_[at] -= sigma * r.mu; }, [&](int at, int, int) { target_[at] -= sigma * r.mu; });
     right_side(1.0 - sigma, target_);
     system_.solve<1>(scaling_, settings_.refinements, {{rx_, ry_, direction_.x, direction_.y}});
     assemble(1.0 - sigma, old.tau * old.kappa + affine_.tau * affine_.kappa - sigma * r.mu, direction_);
@@ -126,13 +119,9 @@ class InteriorPoint {
 
   // Residuals reduced by ``share``, scaled complementarity moved by -target.
   void right_side(double share, const Packs& target) {
-    const Program& g = program_;
     const Residuals& r = residuals_;
-    for (int p = 0; p < g.packs; ++p) {
-      int at = p * g.cone.size;
-      for (int i = 0; i < g.r; ++i) ry_[at + i] = target[at + i] / point_[at + i];
-      for (auto& c : g.cones) soc::divide(&point_[at + c.offset], &target[at + c.offset], c.dimension, &ry_[at + c.offset]);
-    }
+    program_.each([&](int at) { ry_[at] = target[at] / point_[at]; },
+                  [&](int at, int d, int) { soc::divide(&point_[at], &target[at], d, &ry_[at]); });
     scaling_.apply(ry_, lifted_);
     for (size_t i = 0; i < rx_.size(); ++i) rx_[i] = -share * r.x[i];
     for (size_t i = 0; i < ry_.size(); ++i) ry_[i] = lifted_[i] - share * r.y[i];
@@ -201,8 +190,8 @@ class InteriorPoint {
     // The gap is judged in the user's unit of cost, the residuals in equilibrated units.
     double gap = std::abs(primal_cost - dual_cost) /
                  std::max(cost_scale_, std::min(std::abs(primal_cost), std::abs(dual_cost)));
-    double primal_error = g.largest_of(r.y, g.cone) / (v.tau * std::max(1.0, g.largest_of(g.b, g.cone)));
-    double dual_error = g.largest_of(r.x, g.primal) / (v.tau * std::max(1.0, g.largest_of(g.q, g.primal)));
+    double primal_error = g.largest_of(r.y, g.cone) / (v.tau * size_b_);
+    double dual_error = g.largest_of(r.x, g.primal) / (v.tau * size_q_);
     r.error = std::max(gap, std::max(primal_error, dual_error));
     // a maximum leaves NaN out: sums do not
     if (!std::isfinite(gap) || !std::isfinite(r.mu)) r.error = std::numeric_limits<double>::quiet_NaN();
@@ -212,14 +201,9 @@ class InteriorPoint {
 
   // a o b; zero on the zero cone
   void jordan(const Packs& a, const Packs& b, Packs& out) const {
-    const Program& g = program_;
-    for (int p = 0; p < g.packs; ++p) {
-      int at = p * g.cone.size;
-      for (int i = 0; i < g.r; ++i) out[at + i] = a[at + i] * b[at + i];
-      for (int i = 0; i < g.m; ++i) out[at + g.zero + i] = all(0.0);
-      for (auto& c : g.cones)
-        soc::product(&a[at + c.offset], &b[at + c.offset], c.dimension, &out[at + c.offset]);
-    }
+    program_.clear_zero_cone(out);
+    program_.each([&](int at) { out[at] = a[at] * b[at]; },
+                  [&](int at, int d, int) { soc::product(&a[at], &b[at], d, &out[at]); });
   }
 
   // Largest step, at most one, that keeps the iterate in its cone.
@@ -255,7 +239,7 @@ class InteriorPoint {
   Iterate iterate_, next_, affine_, direction_, constant_;
   Residuals residuals_, new_residuals_;
   Packs point_, square_, target_, lifted_, ry_, dual_, hessian_x_, rx_, xi_, gradient_;
-  double cost_scale_ = 1.0, slope_ = 0.0;
+  double cost_scale_ = 1.0, size_q_ = 1.0, size_b_ = 1.0, slope_ = 0.0;
 };
 
 }  // namespace jaxscp

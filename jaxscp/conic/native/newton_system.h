@@ -19,48 +19,32 @@ class Scaling {
   void set_unit() {
     std::fill(w.begin(), w.end(), all(0.0));
     std::fill(eta.begin(), eta.end(), all(1.0));
-    for (int p = 0; p < program_.packs; ++p) {
-      for (int i = 0; i < program_.r; ++i) w[p * program_.cone.size + i] = all(1.0);
-      for (auto& c : program_.cones) w[p * program_.cone.size + c.offset] = all(1.0);
-    }
+    program_.each([&](int at) { w[at] = all(1.0); }, [&](int at, int, int) { w[at] = all(1.0); });
   }
 
   void set(const Packs& s, const Packs& y) {
-    each([&](int at) { w[at] = root(s[at] / y[at]); },
-         [&](int at, int d, int c) { soc::scaling(&s[at], &y[at], d, &w[at], eta[c]); });
+    program_.each([&](int at) { w[at] = root(s[at] / y[at]); },
+                  [&](int at, int d, int c) { soc::scaling(&s[at], &y[at], d, &w[at], eta[c]); });
   }
 
   // out = W v, and zero on the zero cone
   void apply(const Packs& v, Packs& out) const {
-    clear_zero(out);
-    each([&](int at) { out[at] = w[at] * v[at]; },
-         [&](int at, int d, int c) { soc::scale(&w[at], eta[c], 1.0, &v[at], d, &out[at]); });
+    program_.clear_zero_cone(out);
+    program_.each([&](int at) { out[at] = w[at] * v[at]; },
+                  [&](int at, int d, int c) { soc::scale(&w[at], eta[c], 1.0, &v[at], d, &out[at]); });
   }
   void apply_inverse(const Packs& v, Packs& out) const {
-    clear_zero(out);
-    each([&](int at) { out[at] = v[at] / w[at]; },
-         [&](int at, int d, int c) { soc::scale(&w[at], eta[c], -1.0, &v[at], d, &out[at]); });
+    program_.clear_zero_cone(out);
+    program_.each([&](int at) { out[at] = v[at] / w[at]; },
+                  [&](int at, int d, int c) { soc::scale(&w[at], eta[c], -1.0, &v[at], d, &out[at]); });
   }
   void square(const Packs& v, Packs& out) const {
-    clear_zero(out);
-    each([&](int at) { out[at] = w[at] * w[at] * v[at]; },
-         [&](int at, int d, int c) { soc::square(&w[at], eta[c], &v[at], d, &out[at]); });
+    program_.clear_zero_cone(out);
+    program_.each([&](int at) { out[at] = w[at] * w[at] * v[at]; },
+                  [&](int at, int d, int c) { soc::square(&w[at], eta[c], &v[at], d, &out[at]); });
   }
 
  private:
-  // Half-spaces and cones of every pack: their places in a ConeVector, and in ``eta``.
-  template <typename HalfSpace, typename SecondOrder>
-  void each(HalfSpace half_space, SecondOrder second_order) const {
-    for (int p = 0, c = 0; p < program_.packs; ++p) {
-      for (int i = 0; i < program_.r; ++i) half_space(p * program_.cone.size + i);
-      for (auto& cone : program_.cones) second_order(p * program_.cone.size + cone.offset, cone.dimension, c++);
-    }
-  }
-  void clear_zero(Packs& out) const {
-    for (int p = 0; p < program_.packs; ++p)
-      for (int i = 0; i < program_.m; ++i) out[p * program_.cone.size + program_.zero + i] = all(0.0);
-  }
-
   const Program& program_;
 };
 
@@ -150,8 +134,6 @@ class NewtonSystem {
 
  private:
   Pack eta(const Scaling& s, int p, size_t cone) const { return s.eta[p * program_.cones.size() + cone]; }
-  size_t trust_cone() const { return program_.cones.size() - 2; }
-  size_t virtual_cone() const { return program_.cones.size() - 1; }
 
   void spread(const Matrix& sparse, int p, Pack* dense) const {
     const Pack* a = sparse.at(p);
@@ -166,8 +148,7 @@ class NewtonSystem {
     const Pack* w = &s.w[p * g.cone.size];
     spread(g.hessian, p, h);
     for (int i = 0; i < g.r; ++i) add_square(g.rows, p, i, 1.0 / (w[i] * w[i]), h);
-    size_t c = 0;
-    for (; c + (g.has_norm ? 2 : 1) < g.cones.size(); ++c) {
+    for (size_t c = 0; c < g.user_cones(); ++c) {
       auto [offset, d, _] = g.cones[c];
       Pack by = 1.0 / (eta(s, p, c) * eta(s, p, c));
       int row = offset - g.r;
@@ -184,7 +165,7 @@ class NewtonSystem {
     }
     if (!g.has_norm) return;
     const Pack *w1 = w + g.trust + 1, *scale = &g.scale[p * n];
-    Pack by = 1.0 / (eta(s, p, c) * eta(s, p, c)), size = dot(w1, w1, n);
+    Pack e = eta(s, p, g.trust_cone()), by = 1.0 / (e * e), size = dot(w1, w1, n);
     Pack share = 2.0 / (1.0 + 2.0 * size);
     for (int i = 0; i < n; ++i) {
       Pack v = by * share * scale[i] * w1[i];
@@ -207,7 +188,7 @@ class NewtonSystem {
     const Program& g = program_;
     for (int p = 0; p < g.packs; ++p) {
       const Pack *w1 = &s.w[p * g.cone.size + g.virtual_ + 1], *soft = &g.soft[p * g.m];
-      Pack by = eta(s, p, virtual_cone()) * eta(s, p, virtual_cone());
+      Pack by = eta(s, p, g.virtual_cone()) * eta(s, p, g.virtual_cone());
       for (int i = 0; i < g.m; ++i)
         for (int j = 0; j <= i; ++j) {
           Pack v = 2.0 * by * soft[i] * w1[i] * soft[j] * w1[j];
@@ -265,14 +246,14 @@ class NewtonSystem {
     const Pack *qx = &rx[p * g.primal.size], *qy = &ry[p * g.cone.size], *w = &s.w[p * g.cone.size];
     for (int i = 0; i < n; ++i) right_[i] = qx[i];
     for (int i = 0; i < g.r; ++i) g.rows.add_transposed(p, i, qy[i] / (w[i] * w[i]), right_.data());
-    for (size_t c = 0; c + (g.has_norm ? 2 : 1) < g.cones.size(); ++c) {
+    for (size_t c = 0; c < g.user_cones(); ++c) {
       auto [offset, d, _] = g.cones[c];
       soc::inverse_square(w + offset, eta(s, p, c), qy + offset, d, wide_.data());
       for (int i = 0; i < d; ++i) g.user.add_transposed(p, offset - g.r + i, wide_[i], right_.data());
     }
     if (!g.has_norm) return;
     const Pack* wt = w + g.trust;
-    Pack e = eta(s, p, trust_cone()), head = 2.0 * e * e * wt[0] * qx[g.xi];
+    Pack e = eta(s, p, g.trust_cone()), head = 2.0 * e * e * wt[0] * qx[g.xi];
     for (int i = 0; i < n; ++i) shift[i] = qy[g.trust + 1 + i] - head * wt[1 + i];
     soc::tail_inverse(wt, e, shift, n, wide_.data());
     for (int i = 0; i < n; ++i) right_[i] -= g.scale[p * n + i] * wide_[i];
@@ -282,7 +263,7 @@ class NewtonSystem {
   Pack lacks(const Scaling& s, int p, int i, const Packs& rx, const Packs& ry) const {
     const Program& g = program_;
     const Pack *qy = &ry[p * g.cone.size], *w = &s.w[p * g.cone.size + g.virtual_];
-    Pack soft = g.soft[p * g.m + i], e = eta(s, p, virtual_cone());
+    Pack soft = g.soft[p * g.m + i], e = eta(s, p, g.virtual_cone());
     Pack tail = qy[g.virtual_ + 1 + i] - 2.0 * e * e * w[0] * rx[p * g.primal.size + g.zeta] * w[1 + i];
     return (1.0 - soft) * qy[g.zero + i] + soft * tail;
   }
@@ -296,7 +277,7 @@ class NewtonSystem {
     const Pack* z = z_.data();
     for (int i = 0; i < n; ++i) ox[i] = z[i];
     for (int i = 0; i < g.r; ++i) oy[i] = (g.rows.times(p, i, z) - qy[i]) / (w[i] * w[i]);
-    for (size_t c = 0; c + (g.has_norm ? 2 : 1) < g.cones.size(); ++c) {
+    for (size_t c = 0; c < g.user_cones(); ++c) {
       auto [offset, d, _] = g.cones[c];
       for (int i = 0; i < d; ++i) wide_[i] = g.user.times(p, offset - g.r + i, z) - qy[offset + i];
       soc::inverse_square(w + offset, eta(s, p, c), wide_.data(), d, oy + offset);
@@ -305,7 +286,7 @@ class NewtonSystem {
     ox[g.xi] = all(0.0);
     if (g.has_norm) {
       const Pack *wt = w + g.trust, *scale = &g.scale[p * n];
-      Pack e = eta(s, p, trust_cone()), *tail = oy + g.trust + 1;
+      Pack e = eta(s, p, g.trust_cone()), *tail = oy + g.trust + 1;
       for (int i = 0; i < n; ++i) wide_[i] = -(scale[i] * z[i] + shift[i]);
       soc::tail_inverse(wt, e, wide_.data(), n, tail);
       oy[g.trust] = -qx[g.xi];
@@ -318,7 +299,7 @@ class NewtonSystem {
       oy[g.zero + i] = (1.0 - v) * l;
       oy[g.virtual_ + 1 + i] = v * l;
     }
-    ox[g.zeta] = -qy[g.virtual_] - square_head(wv, eta(s, p, virtual_cone()), oy + g.virtual_, 1 + m);
+    ox[g.zeta] = -qy[g.virtual_] - square_head(wv, eta(s, p, g.virtual_cone()), oy + g.virtual_, 1 + m);
   }
 
   static Pack square_head(const Pack* w, Pack eta, const Pack* v, int d) {

@@ -115,7 +115,7 @@ struct Shape {
 
 class Program {
  public:
-  int nodes, packs, n, m, r, u, t;  // variables, link rows, half-spaces, rows of all cones, of the trust region's
+  int nodes, packs, n, m, r, u;  // variables, link rows, half-spaces, rows of the user's cones
   Matrix hessian, after, before, rows, user;  // ``before``: E of the link after the node
   Packs soft, scale;
   std::vector<Mask> is_node, is_link;
@@ -131,7 +131,7 @@ class Program {
     packs = packs_for(nodes + 1);
     u = 0;
     for (auto& c : groups_) u += c.count * c.dimension;
-    t = has_norm ? 1 + n : 0;
+    int t = has_norm ? 1 + n : 0;
     xi = n, zeta = n + 1, primal = {n + 2, n + 1};
     trust = r + u, zero = trust + t, virtual_ = zero + m, cone = {virtual_ + 1 + m, zero};
     int at = r;
@@ -261,6 +261,25 @@ class Program {
       o[zeta] = -v[virtual_];
     }
   }
+
+  // Half-spaces and second-order cones of every pack: their places in a ConeVector, and a cone's among all.
+  template <typename HalfSpace, typename SecondOrder>
+  void each(HalfSpace half_space, SecondOrder second_order) const {
+    for (int p = 0, c = 0; p < packs; ++p) {
+      for (int i = 0; i < r; ++i) half_space(p * cone.size + i);
+      for (auto& k : cones) second_order(p * cone.size + k.offset, k.dimension, c++);
+    }
+  }
+
+  void clear_zero_cone(Packs& v) const {
+    for (int p = 0; p < packs; ++p)
+      for (int i = 0; i < m; ++i) v[p * cone.size + zero + i] = all(0.0);
+  }
+
+  // Of ``cones``, in each pack: the user's come first, then that of the trust region, if any, and the virtual control's.
+  size_t virtual_cone() const { return cones.size() - 1; }
+  size_t trust_cone() const { return cones.size() - 2; }
+  size_t user_cones() const { return cones.size() - (has_norm ? 2 : 1); }
 
   // Places beyond the chain's end hold nothing that counts; what is carried to others or summed is taken from here.
   Pack of_nodes(int p, Pack v) const { return where(is_node[p], v, all(0.0)); }
