@@ -55,11 +55,13 @@ def compile_library(compiler: str, folder: Path, level: str, machine: tuple[str,
     headers = Path(importlib.util.find_spec("jaxlib").submodule_search_locations[0]) / "include"
     library = folder / f"interior_point_{level}.so"
     with tempfile.TemporaryDirectory() as scratch:
-        objects = [Path(scratch) / name for name in ("handler.o", "runs_here.o")]
-        run(compiler, *FLAGS, *machine, "-isystem", headers, "-c", folder / "handler.cc", "-o", objects[0])
         number = level.removeprefix("v") if machine else "0"
-        run(compiler, *FLAGS, f"-DJAXSCP_LEVEL={number}", "-c", folder / "runs_here.cc", "-o", objects[1])
-        run(compiler, "-shared", *objects, "-o", library)
+        files = {"handler": machine, "gpu_handler": (), "runs_here": (f"-DJAXSCP_LEVEL={number}",)}
+        objects = {name: Path(scratch) / f"{name}.o" for name in files}
+        for name, flags in files.items():
+            command = [*FLAGS, *flags, "-isystem", headers, "-c", folder / f"{name}.cc"]
+            run(compiler, *command, "-o", objects[name])
+        run(compiler, "-shared", *objects.values(), "-ldl", "-o", library)
     return library
 
 

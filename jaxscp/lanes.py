@@ -20,7 +20,7 @@ State = TypeVar("State")
 # Lanes stepped at once: few, so that little work is wasted on those that have ended in a tile; but enough for the
 # device, which a smaller tile keeps busy no less long.
 TILE = {"cpu": 8}
-TILE_ELSEWHERE = 256
+TILE_ELSEWHERE = 1024
 
 
 def while_loop(

@@ -6,6 +6,8 @@ its solution either tau > 0 and x / tau solves the program, or kappa > 0 and the
 program is infeasible or unbounded.
 """
 
+import functools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -115,11 +117,16 @@ class InteriorPoint(eqx.Module):
     def iterate(self, program: StagedProgram, scales: Scales) -> Ended:
         """The loop itself, on an equilibrated program."""
         program, scales = _without_derivative((program, scales))
-        if not (self.compiled and native.serves(program)):
+        compiled = {}
+        if self.compiled and native.serves(program):
+            compiled["cpu"] = functools.partial(self._iterate_compiled, native.call)
+        if self.compiled and native.serves_on_gpu(program):
+            compiled["cuda"] = functools.partial(self._iterate_compiled, native.call_on_gpu)
+        if not compiled:
             return self._iterate(program, scales)
         if jax.default_backend() == "cpu":  # which spares tracing what another device would run
-            return self._iterate_natively(program, scales)
-        return jax.lax.platform_dependent(program, scales, cpu=self._iterate_natively, default=self._iterate)
+            return compiled["cpu"](program, scales)
+        return jax.lax.platform_dependent(program, scales, **compiled, default=self._iterate)
 
     def _iterate(self, program: StagedProgram, scales: Scales) -> Ended:
         progress = jax.lax.while_loop(
@@ -131,7 +138,7 @@ class InteriorPoint(eqx.Module):
         measures = r.error, r.infeasibility, r.unboundedness
         return Ended(progress.iterate, *measures, progress.iterations, progress.stalled, progress.broken)
 
-    def _iterate_natively(self, program: StagedProgram, scales: Scales) -> Ended:
+    def _iterate_compiled(self, call, program: StagedProgram, scales: Scales) -> Ended:
         names = (
             "tolerance",
             "proof_tolerance",
@@ -141,7 +148,7 @@ class InteriorPoint(eqx.Module):
             "refinements",
         )
         settings = {name: getattr(self, name) for name in names}
-        found = native.call(program, scales.cost, **settings)
+        found = call(program, scales.cost, **settings)
         z, xi, zeta, y_zero, y_orthant, y_second, s_orthant, s_second, tau, kappa, *measures = found
         y, s = (
             ConeVector(y_zero, y_orthant, y_second),

@@ -16,13 +16,16 @@ from pathlib import Path
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxscp.conic import kkt
+from jaxscp.conic.native import gpu
 from jaxscp.conic.program import StagedProgram
 from jaxscp.types import Scalar
 
 TARGET = "jaxscp_interior_point"
 LEVELS = ("v4", "v3", "any")  # best first
+MAX_GROUPS, MAX_CONES = 8, 64  # of a node, as in ``layout.h``
 
 
 def available() -> bool:
@@ -39,6 +42,13 @@ def level() -> str | None:
     return None
 
 
+@functools.cache
+def available_on_gpu() -> bool:
+    """Whether what launches the kernel was compiled for this machine; makes it known to XLA."""
+    name = level()
+    return name is not None and register(library(name), gpu.TARGET, "jaxscp_interior_point_on_gpu", "CUDA")
+
+
 def library(level: str) -> ctypes.CDLL | None:
     """The loop compiled for an instruction set, if it was and this machine has that."""
     file = Path(__file__).with_name(f"interior_point_{level}.so")
@@ -48,11 +58,12 @@ def library(level: str) -> ctypes.CDLL | None:
     return found if found.jaxscp_runs_here() else None
 
 
-def register(library: ctypes.CDLL, target: str) -> bool:
-    """Make a compiled loop known to XLA by a name; warns where it does not fit."""
+def register(
+    library: ctypes.CDLL, target: str, handler: str = "jaxscp_interior_point", platform: str = "cpu"
+) -> bool:
+    """Make a compiled handler known to XLA by a name; warns where it does not fit."""
     try:
-        handler = jax.ffi.pycapsule(library.jaxscp_interior_point)
-        jax.ffi.register_ffi_target(target, handler, platform="cpu")
+        jax.ffi.register_ffi_target(target, jax.ffi.pycapsule(getattr(library, handler)), platform=platform)
     except Exception as error:  # XLA's own types, which differ by version
         warnings.warn(
             f"jaxscp: the compiled interior point does not fit this jaxlib, and is left out ({error}); "
@@ -65,11 +76,22 @@ def register(library: ctypes.CDLL, target: str) -> bool:
 
 def serves(program: StagedProgram) -> bool:
     """Whether the compiled loop takes this program, on a CPU."""
-    return program.gradient.dtype == jnp.float64 and available()
+    return _numbers_fit(program) and available()
+
+
+def serves_on_gpu(program: StagedProgram) -> bool:
+    """Whether the kernel takes this program, on the GPU that is JAX's default device."""
+    return _numbers_fit(program) and gpu.sizes_of(program).fit and gpu.available() and available_on_gpu()
+
+
+def _numbers_fit(program: StagedProgram) -> bool:
+    cones = [c.offset.shape[1] for c in program.cones]
+    few = len(cones) <= MAX_GROUPS and sum(cones) + 2 <= MAX_CONES
+    return program.gradient.dtype == jnp.float64 and few
 
 
 def call(program: StagedProgram, cost: Scalar, **settings: float | int):
-    """Solve an equilibrated program.
+    """Solve an equilibrated program on a CPU.
 
     Args:
         program: in float64.
@@ -80,6 +102,18 @@ def call(program: StagedProgram, cost: Scalar, **settings: float | int):
         The arrays of the last iterate, (x, y, s, tau, kappa), then error, infeasibility, unboundedness, iterations,
         stalled, broken; the zero cone's slack, which is zero, is left out.
     """
+    return _call(TARGET, program, cost, settings)
+
+
+def call_on_gpu(program: StagedProgram, cost: Scalar, **settings: float | int):
+    """Solve an equilibrated program on the GPU that is JAX's default device; see ``call``."""
+    capability = gpu.capability()
+    if capability is None:
+        raise RuntimeError("jaxscp: no GPU that the interior point's kernel runs on")
+    return _call(gpu.TARGET, program, cost, settings | gpu.attributes(program, capability))
+
+
+def _call(target: str, program: StagedProgram, cost: Scalar, attributes: dict):
     q, b = kkt.linear_cost(program), kkt.right_side(program)
     like = lambda v: jax.ShapeDtypeStruct(v.shape, v.dtype)  # noqa: E731
     scalar, flag = jax.ShapeDtypeStruct((), jnp.float64), jax.ShapeDtypeStruct((), jnp.bool_)
@@ -101,5 +135,5 @@ def call(program: StagedProgram, cost: Scalar, **settings: float | int):
     if norm is not None:
         arrays += [norm.weight, norm.scale, norm.centre]
     results = [*vectors, *[scalar] * 5, count, flag, flag]
-    solve = jax.ffi.ffi_call(TARGET, results, vmap_method="broadcast_all")
-    return solve(*arrays, has_norm=norm is not None, **settings)
+    solve = jax.ffi.ffi_call(target, results, vmap_method="broadcast_all")
+    return solve(*arrays, has_norm=np.int64(norm is not None), **attributes)

@@ -1,190 +1,166 @@
 // The Schur complement in the link multipliers: block tridiagonal, factored by cyclic reduction.
 //
 // Every second block is eliminated at once, which leaves a chain of half the length (``block_tridiagonal.py`` says it
-// in JAX). Entry (i, j) of all blocks lies in a row, so that neighbours are a shift apart.
+// in JAX). Places beyond the last block hold unit blocks tied to nothing, so that they need no case of their own.
 #pragma once
 
-#include <algorithm>
-
-#include "elimination.h"
+#include "eliminations.h"
+#include "program.h"
 
 namespace jaxscp {
-
-// Rows of ``places`` numbers, with room behind them for whole packs shifted by one.
-class Rows {
- public:
-  Rows() = default;
-  Rows(int rows, int places)
-      : stride_(2 * kWidth * ((places + 2 * kWidth - 1) / (2 * kWidth)) + kWidth), data_(rows * stride_) {}
-  double* operator[](int row) { return data_.data() + static_cast<size_t>(row) * stride_; }
-  void clear() { std::fill(data_.begin(), data_.end(), 0.0); }
-  // All places of a row from ``begin`` on, but for the room behind them.
-  void fill(int row, int begin, double v) { std::fill_n((*this)[row] + begin, stride_ - kWidth - begin, v); }
-
- private:
-  int stride_ = 0;
-  std::vector<double> data_;
-};
 
 // Sides of a system that are solved together, at most.
 constexpr int kSides = 2;
 
 class Chain {
  public:
-  Chain(int blocks, int size) : size_(size), gram_(size * size), right_(size * kSides) {
-    for (int count = blocks;; count -= count / 2) {
-      int packs = packs_for(std::max(count / 2, 1)), rows = count > 1 ? 3 * size : size;
-      levels_.push_back({count, Rows(size * kSides, count), Packs(static_cast<size_t>(packs) * rows * size),
-                         Packs(static_cast<size_t>(packs) * rows * kSides)});
+  Packs vector;  // the right sides, then the solutions: row i of side s at i * kSides + s of a pack
+
+  Chain(const Program& program, Arena& arena) : program_(program) {
+    const int m = program.m;
+    for (int count = program.nodes + 1;; count -= count / 2) {
+      Level& level = levels_[last_];
+      level.count = count, level.packs = packs_for(count), level.odd_packs = packs_for(count / 2);
+      level.vector = arena.take(level.packs * m * kSides);
+      int eliminated = count > 1 ? level.odd_packs : 1;
+      level.panels = arena.take(eliminated * 3 * m * m);
+      level.reduced = arena.take(eliminated * 3 * m * kSides);
       if (count == 1) break;
+      ++last_;
     }
-    for (auto& blocks_of : blocks_) blocks_of = {Rows(size * size, blocks), Rows(size * size, blocks)};
+    vector = levels_[0].vector;
+    for (auto& b : blocks_) b = {arena.take(levels_[0].packs * m * m), arena.take(levels_[0].packs * m * m)};
+    grams_ = arena.take(levels_[0].odd_packs * 3 * m * m);
   }
 
-  // Blocks of the matrix: lower triangles of those on the diagonal, and S_{l,l+1}. Zero after ``clear``.
-  double* diagonal(int i, int j) { return blocks_[0].diagonal[i * size_ + j]; }
-  double* above(int i, int j) { return blocks_[0].above[i * size_ + j]; }
-  // The right sides, then the solutions. Zero after ``clear_vector``.
-  double* vector(int i, int side) { return levels_[0].vector[i * kSides + side]; }
+  int packs() const { return levels_[0].packs; }
 
-  void clear() { clear(blocks_[0], levels_[0].count); }
-  void clear_vector() { levels_[0].vector.clear(); }
+  // Blocks of the matrix, row-major: on the diagonal (lower triangles), and S_{l,l+1}, zero behind the last.
+  Pack* diagonal(int p) { return &blocks_[0].diagonal[p * program_.m * program_.m]; }
+  Pack* above(int p) { return &blocks_[0].above[p * program_.m * program_.m]; }
 
-  void factor() {
-    int n = 0, last = static_cast<int>(levels_.size()) - 1;
-    for (; n < last; ++n) reduce(blocks_[n % 2], levels_[n], blocks_[(n + 1) % 2], levels_[n + 1].count);
-    for (int i = 0; i < size_; ++i)
-      for (int j = 0; j <= i; ++j) levels_[n].panel[i * size_ + j] = all(blocks_[n % 2].diagonal[i * size_ + j][0]);
-    eliminate(levels_[n].panel.data(), size_, size_);
+  JAXSCP_ONCE void factor() {
+    const int m = program_.m;
+    for (int l = 0; l < last_; ++l) reduce(blocks_[l % 2], levels_[l], blocks_[(l + 1) % 2], levels_[l + 1].packs);
+    share_among_teams(1, [&](int) {
+      Pack* panel = levels_[last_].panels.data;
+      in_team(last_panel(program_).rows * m, [&](int at) { panel[at] = all(0.0); });
+      in_team(m * m, [&](int at) {
+        if (at % m <= at / m) entry(last_panel(program_), panel, at / m, at % m) = blocks_[last_ % 2].diagonal[at];
+      });
+      eliminate(last_panel(program_), panel);
+    });
   }
 
   template <int S>
-  void solve() {
-    int last = static_cast<int>(levels_.size()) - 1;
-    for (int n = 0; n < last; ++n) descend_to<S>(levels_[n], levels_[n + 1]);
-    Level& one = levels_[last];
-    Pack* v = one.reduced.data();
-    for (int i = 0; i < size_; ++i)
-      for (int s = 0; s < S; ++s) right_[i * S + s] = all(one.vector[i * kSides + s][0]);
-    descend<S>(one.panel.data(), size_, size_, right_.data(), v);
-    ascend<S>(one.panel.data(), size_, size_, v);
-    for (int i = 0; i < size_; ++i)
-      for (int s = 0; s < S; ++s) one.vector[i * kSides + s][0] = v[i * S + s][0];
-    for (int n = last - 1; n >= 0; --n) ascend_from<S>(levels_[n], levels_[n + 1]);
+  JAXSCP_ONCE void solve() {
+    const int m = program_.m;
+    for (int l = 0; l < last_; ++l) descend_to<S>(levels_[l], levels_[l + 1]);
+    Level& one = levels_[last_];
+    share_among_teams(1, [&](int) {
+      take_sides<S>(m, [&](int i, int s) { return one.vector[i * kSides + s]; }, one.reduced.data);
+      descend<S>(last_panel(program_), one.panels.data, one.reduced.data, one.reduced.data);
+      ascend<S>(last_panel(program_), one.panels.data, one.reduced.data);
+      in_team(m * S, [&](int at) { one.vector[at / S * kSides + at % S] = one.reduced[at]; });
+    });
+    for (int l = last_ - 1; l >= 0; --l) ascend_from<S>(levels_[l], levels_[l + 1]);
   }
 
  private:
+  static constexpr int kMaxLevels = 24;
+
   struct Blocks {
-    Rows diagonal, above;
+    Packs diagonal, above;
   };
   struct Level {
-    int count;
-    Rows vector;
-    Packs panel;    // of the odd blocks: D, and what ties it to the even blocks left and right of it
+    int count, packs, odd_packs;
+    Packs vector;
+    Packs panels;   // of the odd blocks: D, and what ties it to the even blocks left and right of it
     Packs reduced;  // right sides of the odd blocks, eliminated
   };
 
-  // Blocks beyond the last are unit blocks tied to nothing, so that they need no case of their own.
-  void clear(Blocks& blocks, int count) {
-    blocks.diagonal.clear();
-    blocks.above.clear();
-    for (int i = 0; i < size_; ++i) blocks.diagonal.fill(i * size_ + i, count, 1.0);
+  // One of a level's packs, of ``size`` entries each; behind the last, places whose entries are ``beyond``.
+  static Pack at(Packs v, int packs, int p, int size, int entry, double beyond = 0.0) {
+    return p < packs ? v[p * size + entry] : all(beyond);
   }
 
-  void reduce(Blocks& from, Level& level, Blocks& to, int even_count) {
-    int m = size_, even_packs = packs_for(even_count), odd_packs = packs_for(level.count / 2);
-    clear(to, even_count);
-    for (int i = 0; i < m; ++i)
-      for (int j = 0; j <= i; ++j)
-        for (int p = 0; p < even_packs; ++p) {
-          const double* d = from.diagonal[i * m + j] + 2 * p * kWidth;
-          store(to.diagonal[i * m + j] + p * kWidth, evens(load(d), load(d + kWidth)));
-        }
-    for (int p = 0; p < odd_packs; ++p) {
-      Pack* panel = level.panel.data() + static_cast<size_t>(p) * 3 * m * m;
-      Pack *left = panel + m * m, *right = left + m * m;
-      for (int i = 0; i < m; ++i)
-        for (int j = 0; j < m; ++j) {
-          const double* d = from.diagonal[i * m + j] + 2 * p * kWidth;
-          const double* a = from.above[i * m + j] + 2 * p * kWidth;
-          Pack first = load(a), second = load(a + kWidth);
-          if (j <= i) panel[i * m + j] = odds(load(d), load(d + kWidth));
-          left[i * m + j] = evens(first, second);  // S_{o-1,o}
-          right[j * m + i] = odds(first, second);  // S_{o,o+1}'
-        }
-      eliminate(panel, m, 3 * m);
-      int here = p * kWidth;
-      auto subtract = [&](const Pack* side, int shift) {
-        gram(side, side, m, m, gram_.data());
-        for (int i = 0; i < m; ++i)
-          for (int j = 0; j <= i; ++j) {
-            double* at = to.diagonal[i * m + j] + here + shift;
-            store(at, load(at) - gram_[i * m + j]);
-          }
+  JAXSCP_ONCE void reduce(Blocks from, const Level& level, Blocks to, int even_packs) {
+    const int m = program_.m, size = m * m;
+    share_among_teams(level.odd_packs, [&](int p) {
+      Pack* panel = &level.panels[p * 3 * size];
+      in_team(size, [&](int e) {
+        int i = e / m, j = e % m;
+        auto block = [&](Packs v, int q, double beyond) { return at(v, level.packs, q, size, e, beyond); };
+        Pack first = block(from.above, 2 * p, 0.0), second = block(from.above, 2 * p + 1, 0.0);
+        double unit = i == j ? 1.0 : 0.0;
+        if (j <= i) entry(link_panel(program_), panel, i, j) = odds(block(from.diagonal, 2 * p, unit), block(from.diagonal, 2 * p + 1, unit));
+        entry(link_panel(program_), panel, m + i, j) = evens(first, second);     // S_{o-1,o}
+        entry(link_panel(program_), panel, 2 * m + j, i) = odds(first, second);  // S_{o,o+1}'
+      });
+      eliminate(link_panel(program_), panel);
+      grams(link_panel(program_), panel, &grams_[p * 3 * size]);
+    });
+    share_kept(even_packs, size, [&](int p, int e) {
+      double unit = e / m == e % m ? 1.0 : 0.0;
+      auto gram = [&](int q, int k) { return q >= 0 ? at(grams_, level.odd_packs, q, 3 * size, k * size + e) : all(0.0); };
+      to.above[p * size + e] = -gram(p, 2);
+      if (e % m > e / m) return;
+      Pack diagonal = evens(at(from.diagonal, level.packs, 2 * p, size, e, unit),
+                            at(from.diagonal, level.packs, 2 * p + 1, size, e, unit));
+      to.diagonal[p * size + e] = diagonal - gram(p, 0) - one_before(gram(p - 1, 1), gram(p, 1));
+    });
+  }
+
+  template <int S, typename From>
+  static void take_sides(int count, From from, Pack* to) {
+    in_team(count * S, [&](int at) { to[at] = from(at / S, at % S); });
+  }
+
+  template <int S>
+  JAXSCP_ONCE void descend_to(Level& from, Level& to) {
+    const int m = program_.m, width = m * kSides;
+    auto given = [&](int q, int e) { return at(from.vector, from.packs, q, width, e); };
+    share_among_teams(from.odd_packs, [&](int p) {
+      Pack* out = &from.reduced[p * 3 * m * kSides];
+      take_sides<S>(m, [&](int i, int s) { return odds(given(2 * p, i * kSides + s), given(2 * p + 1, i * kSides + s)); }, out);
+      descend<S>(link_panel(program_), &from.panels[p * 3 * m * m], out, out);
+    });
+    share_kept(to.packs, m * S, [&](int p, int k) {
+      int i = k / S, s = k % S, e = i * kSides + s;
+      auto out = [&](int q, int row) {
+        return q >= 0 ? at(from.reduced, from.odd_packs, q, 3 * m * kSides, row * S + s) : all(0.0);
       };
-      subtract(left, 0);
-      subtract(right, 1);
-      gram(left, right, m, m, gram_.data());
-      for (int e = 0; e < m * m; ++e) store(to.above[e] + here, -gram_[e]);
-    }
+      to.vector[p * width + e] = evens(given(2 * p, e), given(2 * p + 1, e)) - out(p, m + i) -
+                                 one_before(out(p - 1, 2 * m + i), out(p, 2 * m + i));
+    });
   }
 
   template <int S>
-  void descend_to(Level& from, Level& to) {
-    int m = size_, even_packs = packs_for(to.count), odd_packs = packs_for(from.count / 2);
-    to.vector.clear();
-    for (int i = 0; i < m; ++i)
-      for (int s = 0; s < S; ++s)
-        for (int p = 0; p < even_packs; ++p) {
-          const double* v = from.vector[i * kSides + s] + 2 * p * kWidth;
-          store(to.vector[i * kSides + s] + p * kWidth, evens(load(v), load(v + kWidth)));
-        }
-    for (int p = 0; p < odd_packs; ++p) {
-      for (int i = 0; i < m; ++i)
-        for (int s = 0; s < S; ++s) {
-          const double* v = from.vector[i * kSides + s] + 2 * p * kWidth;
-          right_[i * S + s] = odds(load(v), load(v + kWidth));
-        }
-      Pack* out = from.reduced.data() + static_cast<size_t>(p) * 3 * m * kSides;
-      descend<S>(from.panel.data() + static_cast<size_t>(p) * 3 * m * m, m, 3 * m, right_.data(), out);
-      for (int i = 0; i < m; ++i)
-        for (int s = 0; s < S; ++s) {
-          double* even = to.vector[i * kSides + s] + p * kWidth;
-          store(even, load(even) - out[(m + i) * S + s]);
-          store(even + 1, load(even + 1) - out[(2 * m + i) * S + s]);
-        }
-    }
+  JAXSCP_ONCE void ascend_from(Level& level, Level& even) {
+    const int m = program_.m, width = m * kSides;
+    auto solved = [&](int q, int e) { return at(even.vector, even.packs, q, width, e); };
+    share_among_teams(level.odd_packs, [&](int p) {
+      Pack* v = &level.reduced[p * 3 * m * kSides];
+      in_team(m * S, [&](int k) {
+        int e = k / S * kSides + k % S;
+        v[m * S + k] = solved(p, e);
+        v[2 * m * S + k] = one_after(solved(p, e), solved(p + 1, e));
+      });
+      ascend<S>(link_panel(program_), &level.panels[p * 3 * m * m], v);
+    });
+    share_kept(even.packs, m * S, [&](int p, int k) {
+      int e = k / S * kSides + k % S;
+      Pack x = solved(p, e), y = at(level.reduced, level.odd_packs, p, 3 * m * kSides, k);
+      level.vector[2 * p * width + e] = first_of_pairs(x, y);
+      if (2 * p + 1 < level.packs) level.vector[(2 * p + 1) * width + e] = last_of_pairs(x, y);
+    });
   }
 
-  template <int S>
-  void ascend_from(Level& level, Level& even) {
-    int m = size_, odd_packs = packs_for(level.count / 2);
-    for (int p = 0; p < odd_packs; ++p) {
-      Pack* v = level.reduced.data() + static_cast<size_t>(p) * 3 * m * kSides;
-      for (int i = 0; i < m; ++i)
-        for (int s = 0; s < S; ++s) {
-          const double* x = even.vector[i * kSides + s] + p * kWidth;
-          v[(m + i) * S + s] = load(x);
-          v[(2 * m + i) * S + s] = load(x + 1);
-        }
-      ascend<S>(level.panel.data() + static_cast<size_t>(p) * 3 * m * m, m, 3 * m, v);
-      for (int i = 0; i < m; ++i)
-        for (int s = 0; s < S; ++s) {
-          double* at = level.vector[i * kSides + s] + 2 * p * kWidth;
-          Pack x = v[(m + i) * S + s], y = v[i * S + s];
-          store(at, first_of_pairs(x, y));
-          store(at + kWidth, last_of_pairs(x, y));
-        }
-    }
-    // an even block behind the last odd one
-    if (level.count % 2 == 1)
-      for (int i = 0; i < m * kSides; ++i) level.vector[i][level.count - 1] = even.vector[i][even.count - 1];
-  }
-
-  int size_;
-  Packs gram_, right_;
-  std::vector<Level> levels_;
+  const Program& program_;
+  int last_ = 0;
+  Level levels_[kMaxLevels];
   Blocks blocks_[2];  // of a level, and of the one it is reduced to
+  Packs grams_;
 };
 
 }  // namespace jaxscp

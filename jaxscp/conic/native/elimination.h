@@ -8,7 +8,7 @@
 
 #include <algorithm>
 
-#include "pack.h"
+#include "layout.h"
 
 namespace jaxscp {
 
@@ -91,7 +91,10 @@ inline void gram_rows(const Pack* a, int i, const Pack* b, int columns, int size
 
 }  // namespace tile
 
-inline void eliminate(Pack* panel, int size, int rows) {
+inline Pack& entry(PanelShape shape, Pack* panel, int i, int j) { return panel[i * shape.size + j]; }
+
+inline void eliminate(PanelShape shape, Pack* panel) {
+  auto [size, rows] = shape;
   int j = 0;
   for (; j + kTile <= size; j += kTile) tile::columns<kTile>(panel, size, rows, j);
   switch (size - j) {
@@ -113,9 +116,19 @@ inline void gram(const Pack* a, const Pack* b, int count, int size, Pack* out) {
   }
 }
 
+// Of the rows below, the upper half a and the lower half b: out = a a', b b' (at least their lower triangles), a b'.
+inline void grams(PanelShape shape, const Pack* panel, Pack* out) {
+  int size = shape.size, half = (shape.rows - size) / 2;
+  const Pack *a = panel + size * size, *b = a + half * size;
+  gram(a, a, half, size, out);
+  gram(b, b, half, size, out + half * half);
+  gram(a, b, half, size, out + 2 * half * half);
+}
+
 // out = L^-1 right for the rows of A, and K L^-1 right for those below; S right sides at once, side by side.
 template <int S>
-inline void descend(const Pack* panel, int size, int rows, const Pack* right, Pack* out) {
+inline void descend(PanelShape shape, const Pack* panel, const Pack* right, Pack* out) {
+  auto [size, rows] = shape;
   for (int i = 0; i < rows; i += kTile) {
     int count = std::min(kTile, rows - i), before = std::min(i, size);
     const Pack* row = panel + i * size;
@@ -142,7 +155,8 @@ inline void descend(const Pack* panel, int size, int rows, const Pack* right, Pa
 
 // In place: the first rows become L'^-1 (v - K' v_below).
 template <int S>
-inline void ascend(const Pack* panel, int size, int rows, Pack* v) {
+inline void ascend(PanelShape shape, const Pack* panel, Pack* v) {
+  auto [size, rows] = shape;
   for (int end = size; end > 0;) {
     int j = (end - 1) / kTile * kTile, count = end - j;
     Pack sums[kTile][S] = {};

@@ -1,33 +1,59 @@
-// Eight nodes of the chain at once: a Pack is a number of the mathematics, held for eight places in one register.
+// Places of the chain at once: a Pack is a number of the mathematics, held for eight places in one register.
 //
-// Every formula of the interior point is the same at every node. Written for a Pack in place of a number, it reads as
-// for one node, and compiles to vector instructions, whatever width the machine has.
+// Every formula of the interior point is the same at every place. Written for a Pack in place of a number, it reads as
+// for one place, and compiles to vector instructions, whatever width the machine has. On a GPU, whose threads are the
+// places (``threads.h``), a Pack is a number.
 #pragma once
 
+#if !defined(__CUDACC__)
 #include <cmath>
-#include <vector>
+#endif
+
+#if !defined(JAXSCP_WIDTH)
+#if defined(__CUDACC__)
+#define JAXSCP_WIDTH 1
+#else
+#define JAXSCP_WIDTH 8
+#endif
+#endif
 
 namespace jaxscp {
 
-constexpr int kWidth = 8;
+constexpr int kWidth = JAXSCP_WIDTH;
+
+#if JAXSCP_WIDTH == 1
+
+typedef double Pack;
+typedef bool Mask;
+
+inline Pack all(double v) { return v; }
+inline Pack root(Pack v) { return sqrt(v); }
+inline double get(const Pack& v, int) { return v; }
+inline void set(Pack& v, int, double to) { v = to; }
+inline Mask within(int pack, int count) { return pack < count; }
+inline Pack one_before(Pack before, Pack) { return before; }
+inline Pack one_after(Pack, Pack after) { return after; }
+inline Pack evens(Pack a, Pack) { return a; }
+inline Pack odds(Pack, Pack b) { return b; }
+inline Pack first_of_pairs(Pack a, Pack) { return a; }
+inline Pack last_of_pairs(Pack, Pack b) { return b; }
+
+#else
+
 typedef double Pack __attribute__((vector_size(kWidth * sizeof(double))));
 typedef long long Mask __attribute__((vector_size(kWidth * sizeof(long long))));  // of all ones where it holds
-typedef Pack UnalignedPack __attribute__((aligned(sizeof(double))));
-using Packs = std::vector<Pack>;
 
 inline Pack all(double v) { return Pack{v, v, v, v, v, v, v, v}; }
-inline Pack load(const double* from) { return *reinterpret_cast<const UnalignedPack*>(from); }
-inline void store(double* to, Pack v) { *reinterpret_cast<UnalignedPack*>(to) = v; }
-inline Pack where(Mask mask, Pack yes, Pack no) { return mask ? yes : no; }
-inline Pack larger(Pack a, Pack b) { return a > b ? a : b; }
-inline Pack smaller(Pack a, Pack b) { return a < b ? a : b; }
-inline Pack magnitude(Pack a) { return a < 0.0 ? -a : a; }
-
 inline Pack root(Pack v) {
   Pack r;
   for (int lane = 0; lane < kWidth; ++lane) r[lane] = std::sqrt(v[lane]);
   return r;
 }
+inline double get(const Pack& v, int lane) { return v[lane]; }
+inline void set(Pack& v, int lane, double to) { v[lane] = to; }
+
+// Which places of a pack are among the first ``count`` of the chain.
+inline Mask within(int pack, int count) { return Mask{0, 1, 2, 3, 4, 5, 6, 7} < count - pack * kWidth; }
 
 // The places one before and one after: of a neighbouring pack at the edge.
 inline Pack one_before(Pack before, Pack here) {
@@ -44,27 +70,18 @@ inline Pack odds(Pack a, Pack b) { return __builtin_shufflevector(a, b, 1, 3, 5,
 inline Pack first_of_pairs(Pack a, Pack b) { return __builtin_shufflevector(a, b, 0, 8, 1, 9, 2, 10, 3, 11); }
 inline Pack last_of_pairs(Pack a, Pack b) { return __builtin_shufflevector(a, b, 4, 12, 5, 13, 6, 14, 7, 15); }
 
-inline double sum(Pack v) {
-  double total = 0.0;
-  for (int lane = 0; lane < kWidth; ++lane) total += v[lane];
-  return total;
-}
-inline double largest(Pack v) {
-  double most = v[0];
-  for (int lane = 1; lane < kWidth; ++lane) most = v[lane] > most ? v[lane] : most;
-  return most;
-}
-inline double least(Pack v) { return -largest(-v); }
+#endif
 
-inline Pack dot(const Pack* a, const Pack* b, int size) {
-  Pack total[4] = {all(0.0), all(0.0), all(0.0), all(0.0)};  // four sums in turn: none waits for the one before
-  int i = 0;
-  for (; i + 4 <= size; i += 4)
-    for (int k = 0; k < 4; ++k) total[k] += a[i + k] * b[i + k];
-  for (; i < size; ++i) total[0] += a[i] * b[i];
-  return (total[0] + total[1]) + (total[2] + total[3]);
-}
+inline Pack where(Mask mask, Pack yes, Pack no) { return mask ? yes : no; }
+inline Pack larger(Pack a, Pack b) { return a > b ? a : b; }
+inline Pack smaller(Pack a, Pack b) { return a < b ? a : b; }
+inline Pack magnitude(Pack a) { return a < 0.0 ? -a : a; }
 
-inline int packs_for(int places) { return (places + kWidth - 1) / kWidth; }
+inline bool is_finite(double v) { return v - v == 0.0; }
+
+// Packs for so many places, of which ``together`` are counted at once.
+constexpr int packs_for(int places, int together = kWidth) {
+  return (places + together - 1) / together * (together / kWidth);
+}
 
 }  // namespace jaxscp

@@ -5,310 +5,267 @@
 // A node's pack owns what the node itself adds to a vector, and what the link before it adds: link l is node l's.
 #pragma once
 
-#include <algorithm>
-#include <cstdint>
-
-#include "pack.h"
+#include "arena.h"
+#include "threads.h"
 
 namespace jaxscp {
-
-struct ConeShape {
-  int count, dimension;
-  bool operator==(const ConeShape&) const = default;
-};
-
-// All that the sizes of arrays follow from.
-struct Sizes {
-  int nodes, variables, link_rows, rows;
-  std::vector<ConeShape> cones;
-  bool has_norm;
-  bool operator==(const Sizes&) const = default;
-};
 
 // What the program is made of, row-major, the chain first.
 struct Given {
   const double *hessian, *gradient, *before, *after, *link_offset, *soft, *link_weight, *row_matrix, *row_offset;
   struct ConeGroup {
     const double *matrix, *offset;
-  };
-  std::vector<ConeGroup> cones;
-  const double *norm_weight = nullptr, *norm_scale = nullptr, *norm_centre = nullptr;
+  } cones[kMaxGroups];
+  const double *norm_weight, *norm_scale, *norm_centre;
 };
 
 // Takes entries of ``size`` numbers at each of the first ``count`` places into packs, ``stride`` packs an entry apart.
-inline void gather(const double* from, int count, int size, Packs& to, int offset, int stride, double beyond = 0.0) {
-  int packs = static_cast<int>(to.size()) / stride;
-  for (int p = 0; p < packs; ++p)
-    for (int i = 0; i < size; ++i) {
-      Pack& v = to[static_cast<size_t>(p) * stride + offset + i];
-      for (int lane = 0; lane < kWidth; ++lane) {
-        int k = p * kWidth + lane;
-        v[lane] = k < count ? from[static_cast<size_t>(k) * size + i] : beyond;
-      }
+JAXSCP_ONCE inline void gather(const double* from, int count, int size, Packs to, int offset, int stride, double beyond = 0.0) {
+  share(to.size / stride, size, [&](int p, int i) {
+    for (int lane = 0; lane < kWidth; ++lane) {
+      int k = p * kWidth + lane;
+      set(to.of(p, stride)[offset + i], lane, k < count ? from[static_cast<long long>(k) * size + i] : beyond);
     }
+  });
 }
 
-inline void scatter(const Packs& from, int offset, int stride, int count, int size, double* to) {
-  for (int k = 0; k < count; ++k)
-    for (int i = 0; i < size; ++i)
-      to[static_cast<size_t>(k) * size + i] = from[static_cast<size_t>(k / kWidth) * stride + offset + i][k % kWidth];
+JAXSCP_ONCE inline void scatter(Packs from, int offset, int stride, int count, int size, double* to) {
+  share(count, size, [&](int k, int i) {
+    to[k * size + i] = get(from.of(k / kWidth, stride)[offset + i], k % kWidth);
+  });
 }
 
 // A matrix at every node, without the entries that are zero at all of them.
 class Matrix {
  public:
-  // ``stride``: numbers from one node's matrix to the next.
-  void set(const double* from, int nodes, int packs, int rows, int columns, int64_t stride) {
-    rows_ = rows;
-    start.assign(1, 0);
-    column.clear();
-    for (int i = 0; i < rows; ++i) {
-      for (int j = 0; j < columns; ++j) {
-        bool filled = false;
-        for (int k = 0; k < nodes && !filled; ++k) filled = from[k * stride + i * columns + j] != 0.0;
-        if (filled) column.push_back(j);
-      }
-      start.push_back(static_cast<int>(column.size()));
-    }
-    entries = start.back();
-    value.assign(static_cast<size_t>(packs) * entries, all(0.0));
-    for (int i = 0; i < rows; ++i)
+  Matrix(int rows, int columns, int packs, Arena& arena)
+      : rows(rows), columns(columns), start(arena.take_integers(rows + 1)), column(arena.take_integers(rows * columns)),
+        line(arena.take_integers(rows * columns)),
+        column_start_(arena.take_integers(columns + 1)), entry_(arena.take_integers(rows * columns)),
+        row_(arena.take_integers(rows * columns)), place_(arena.take_integers(rows * columns)), value_(arena.take(packs * rows * columns)) {}
+
+  // ``from(k, i, j)``: entry (i, j) at node k.
+  template <typename From>
+  void read(int nodes, int packs, From from) {
+    share(rows * columns, [&](int at) {
+      bool filled = false;
+      for (int k = 0; k < nodes && !filled; ++k) filled = from(k, at / columns, at % columns) != 0.0;
+      place_[at] = filled ? 0 : kNone;
+    });
+    list(start, rows, columns, [&](int i, int j) { return i * columns + j; },
+         [&](int e, int i, int j, int at) { line[e] = i, column[e] = j, place_[at] = e; });
+    list(column_start_, columns, rows, [&](int j, int i) { return i * columns + j; },
+         [&](int f, int, int i, int at) { entry_[f] = place_[at], row_[f] = i; });
+    once([&] { entries = start[rows]; });
+    share(packs, rows, [&](int p, int i) {
       for (int e = start[i]; e < start[i + 1]; ++e)
-        for (int k = 0; k < nodes; ++k)
-          value[static_cast<size_t>(k / kWidth) * entries + e][k % kWidth] = from[k * stride + i * columns + column[e]];
+        for (int lane = 0; lane < kWidth; ++lane) {
+          int k = p * kWidth + lane;
+          set(at(p)[e], lane, k < nodes ? from(k, i, column[e]) : 0.0);
+        }
+    });
   }
 
-  int rows() const { return rows_; }
-  const Pack* at(int pack) const { return value.data() + static_cast<size_t>(pack) * entries; }
+  Entries at(int pack) const { return value_.of(pack, entries); }
 
   // Row i times v.
-  Pack times(int pack, int i, const Pack* v) const {
-    const Pack* a = at(pack);
+  Pack times(int pack, int i, Entries v) const {
+    Entries a = at(pack);
     Pack total = all(0.0);
+#pragma unroll 2
     for (int e = start[i]; e < start[i + 1]; ++e) total += a[e] * v[column[e]];
     return total;
   }
-  // out += row i times v
-  void add_transposed(int pack, int i, Pack v, Pack* out) const {
-    const Pack* a = at(pack);
-    for (int e = start[i]; e < start[i + 1]; ++e) out[column[e]] += a[e] * v;
+  // act(i, e) for every filled entry of column j: in row i, the e-th of all.
+  template <typename Act>
+  void each_of_column(int j, Act act) const {
+    for (int f = column_start_[j]; f < column_start_[j + 1]; ++f) act(row_[f], entry_[f]);
+  }
+  // ``total`` and column j times v, whose entries v(i) give.
+  template <typename Vector>
+  Pack add_transposed(int pack, int j, Pack total, Vector v) const {
+    Entries a = at(pack);
+#pragma unroll 2
+    for (int f = column_start_[j]; f < column_start_[j + 1]; ++f) total += a[entry_[f]] * v(row_[f]);
+    return total;
   }
 
-  std::vector<int> start, column;  // of row i: entries start[i] .. start[i + 1] - 1
+  int rows, columns;
+  int *start, *column, *line;  // of row i: entries start[i] .. start[i + 1] - 1; and the row of an entry
   int entries = 0;
 
  private:
-  int rows_ = 0;
-  Packs value;
-};
+  static constexpr int kNone = -1;
 
-// A second-order cone's place in a ConeVector.
-struct Cone {
-  int offset, dimension;
-  bool of_link;
-};
-
-// How many packs a vector has of each eight places: those of a node first, then those of its link.
-struct Shape {
-  int size = 0, of_node = 0;
-};
-
-class Program {
- public:
-  int nodes, packs, n, m, r, u;  // variables, link rows, half-spaces, rows of the user's cones
-  Matrix hessian, after, before, rows, user;  // ``before``: E of the link after the node
-  Packs soft, scale;
-  std::vector<Mask> is_node, is_link;
-  Shape primal, cone;                  // (z, xi, zeta) and (rows, user, trust, zero, virtual)
-  int xi, zeta, trust, zero, virtual_;  // offsets; those of z and rows are zero, the user's cones follow the rows
-  std::vector<Cone> cones;
-  Packs q, b;
-  double degree;  // number of complementarity pairs
-  bool has_norm;
-
-  explicit Program(const Sizes& sizes) : groups_(sizes.cones) {
-    nodes = sizes.nodes, n = sizes.variables, m = sizes.link_rows, r = sizes.rows, has_norm = sizes.has_norm;
-    packs = packs_for(nodes + 1);
-    u = 0;
-    for (auto& c : groups_) u += c.count * c.dimension;
-    int t = has_norm ? 1 + n : 0;
-    xi = n, zeta = n + 1, primal = {n + 2, n + 1};
-    trust = r + u, zero = trust + t, virtual_ = zero + m, cone = {virtual_ + 1 + m, zero};
-    int at = r;
-    for (auto& c : groups_)
-      for (int i = 0; i < c.count; ++i, at += c.dimension) cones.push_back({at, c.dimension, false});
-    if (has_norm) cones.push_back({trust, t, false});
-    cones.push_back({virtual_, 1 + m, true});
-    degree = static_cast<double>(nodes) * r + (nodes + 1) + 1;  // the last: tau and kappa
-    for (auto& c : cones) degree += c.of_link ? 0 : nodes;
-    for (int p = 0; p < packs; ++p) {
-      Pack place;
-      for (int lane = 0; lane < kWidth; ++lane) place[lane] = p * kWidth + lane;
-      is_node.push_back(place < all(nodes));
-      is_link.push_back(place < all(nodes + 1));
-    }
-    scale.resize(packs * n), soft.resize(packs * m);
-    q.resize(packs * primal.size), b.resize(packs * cone.size);
+  // Number the filled places by lines (rows or columns): line i's begin with first[i].
+  template <typename Place, typename Put>
+  void list(int* first, int lines, int length, Place place, Put put) {
+    share(lines, [&](int i) {
+      int count = 0;
+      for (int j = 0; j < length; ++j) count += place_[place(i, j)] != kNone;
+      first[i + 1] = count;
+    });
+    once([&] {
+      first[0] = 0;
+      for (int i = 0; i < lines; ++i) first[i + 1] += first[i];
+    });
+    share(lines, [&](int i) {
+      int number = first[i];
+      for (int j = 0; j < length; ++j)
+        if (int at = place(i, j); place_[at] != kNone) put(number++, i, j, at);
+    });
   }
 
-  void read(const Given& g) {
-    hessian.set(g.hessian, nodes, packs, n, n, n * n);
-    after.set(g.after, nodes, packs, m, n, m * n);
-    before.set(g.before + m * n, nodes, packs, m, n, m * n);
-    rows.set(g.row_matrix, nodes, packs, r, n, r * n);
-    std::vector<double> joined(static_cast<size_t>(nodes) * u * n);
-    int at = 0;
-    for (size_t i = 0; i < groups_.size(); ++i) {
-      int size = groups_[i].count * groups_[i].dimension;
-      for (int k = 0; k < nodes; ++k)
-        std::copy_n(g.cones[i].matrix + static_cast<size_t>(k) * size * n, size * n, &joined[(static_cast<size_t>(k) * u + at) * n]);
-      at += size;
-    }
-    user.set(joined.data(), nodes, packs, u, n, u * n);
+  int *column_start_, *entry_, *row_;  // of column j: entry_[column_start_[j] ..], and their rows
+  int* place_;                         // of an entry among them all
+  Packs value_;
+};
+
+class Program : public ProgramLayout {
+ public:
+  Matrix hessian, after, before, rows, user;  // ``before``: E of the link after the node
+  Packs soft, scale;
+  Packs q, b;
+
+  Program(const Layout& layout, Arena& arena)
+      : ProgramLayout(layout), hessian(n, n, packs, arena), after(m, n, packs, arena), before(m, n, packs, arena),
+        rows(r, n, packs, arena), user(u, n, packs, arena), soft(arena.take(packs * m)), scale(arena.take(packs * n)),
+        q(arena.take(packs * primal.size)), b(arena.take(packs * cone.size)), carry_(arena.take(packs * m)) {}
+
+  JAXSCP_ONCE void read(const Given& g) {
+    auto matrix = [](const double* from, int rows, int columns) {
+      return [=](int k, int i, int j) { return from[(static_cast<long long>(k) * rows + i) * columns + j]; };
+    };
+    hessian.read(nodes, packs, matrix(g.hessian, n, n));
+    after.read(nodes, packs, matrix(g.after, m, n));
+    before.read(nodes, packs, matrix(g.before + m * n, m, n));
+    rows.read(nodes, packs, matrix(g.row_matrix, r, n));
+    user.read(nodes, packs, [&](int k, int i, int j) {
+      for (int c = 0;; ++c) {
+        int size = sizes.cones[c].count * sizes.cones[c].dimension;
+        if (i < size) return g.cones[c].matrix[(static_cast<long long>(k) * size + i) * n + j];
+        i -= size;
+      }
+    });
     gather(g.soft, nodes + 1, m, soft, 0, m);
 
-    std::fill(q.begin(), q.end(), all(0.0));
-    std::fill(b.begin(), b.end(), all(0.0));
+    share(q.size, [&](int i) { q[i] = all(0.0); });
+    share(b.size, [&](int i) { b[i] = all(0.0); });
     gather(g.gradient, nodes, n, q, 0, primal.size);
     gather(g.link_weight, nodes + 1, 1, q, zeta, primal.size);
     gather(g.row_offset, nodes, r, b, 0, cone.size, 1.0);
-    at = r;
-    for (size_t i = 0; i < groups_.size(); ++i) {
-      int size = groups_[i].count * groups_[i].dimension;
-      gather(g.cones[i].offset, nodes, size, b, at, cone.size);
+    int at = r;
+    for (int c = 0; c < sizes.groups; ++c) {
+      int size = sizes.cones[c].count * sizes.cones[c].dimension;
+      gather(g.cones[c].offset, nodes, size, b, at, cone.size);
       at += size;
     }
     if (has_norm) {
       gather(g.norm_weight, nodes, 1, q, xi, primal.size);
       gather(g.norm_scale, nodes, n, scale, 0, n);
       gather(g.norm_centre, nodes, n, b, trust + 1, cone.size);
-      for (int p = 0; p < packs; ++p)
-        for (int i = 0; i < n; ++i) b[p * cone.size + trust + 1 + i] *= -scale[p * n + i];
+      share(packs, n, [&](int p, int i) { of_cones(b, p)[trust + 1 + i] *= -scale.of(p, n)[i]; });
     }
     gather(g.link_offset, nodes + 1, m, b, zero, cone.size);
-    for (int p = 0; p < packs; ++p)
-      for (int i = 0; i < m; ++i) {
-        Pack v = soft[p * m + i], d = b[p * cone.size + zero + i];
-        b[p * cone.size + zero + i] = (1.0 - v) * d;
-        b[p * cone.size + virtual_ + 1 + i] = v * d;
-      }
+    share(packs, m, [&](int p, int i) {
+      Entries o = of_cones(b, p);
+      Pack v = soft.of(p, m)[i], d = o[zero + i];
+      o[zero + i] = (1.0 - v) * d;
+      o[virtual_ + 1 + i] = v * d;
+    });
   }
 
-  // E z_{l-1} + F z_l of every link, from z in a vector of ``stride`` packs.
-  void links(const Packs& x, int stride, Packs& out) const {
-    carry_.resize(packs * m);
-    for (int p = 0; p < packs; ++p)
-      for (int i = 0; i < m; ++i) carry_[p * m + i] = of_nodes(p, before.times(p, i, &x[p * stride]));
-    for (int p = 0; p < packs; ++p)
-      for (int i = 0; i < m; ++i) {
-        Pack from_before = one_before(p > 0 ? carry_[(p - 1) * m + i] : all(0.0), carry_[p * m + i]);
-        out[p * m + i] = of_nodes(p, after.times(p, i, &x[p * stride])) + from_before;
-      }
-  }
+  // The entries at one place of a (z, xi, zeta), and of a ConeVector.
+  Entries of_primal(Packs v, int p) const { return v.of(p, primal.size); }
+  Entries of_cones(Packs v, int p) const { return v.of(p, cone.size); }
 
   // P x.
-  void times_hessian(const Packs& x, Packs& out) const {
-    for (int p = 0; p < packs; ++p) {
-      for (int i = 0; i < n; ++i) out[p * primal.size + i] = hessian.times(p, i, &x[p * primal.size]);
-      out[p * primal.size + xi] = out[p * primal.size + zeta] = all(0.0);
-    }
+  JAXSCP_ONCE void times_hessian(Packs x, Packs out) const {
+    share(packs, primal.size, [&](int p, int i) {
+      of_primal(out, p)[i] = i < n ? hessian.times(p, i, of_primal(x, p)) : all(0.0);
+    });
   }
 
   // A x.
-  void times_constraints(const Packs& x, Packs& out) const {
-    link_.resize(packs * m);
-    links(x, primal.size, link_);
-    for (int p = 0; p < packs; ++p) {
-      const Pack* v = &x[p * primal.size];
-      Pack* o = &out[p * cone.size];
-      for (int i = 0; i < r; ++i) o[i] = rows.times(p, i, v);
-      for (int i = 0; i < u; ++i) o[r + i] = user.times(p, i, v);
-      if (has_norm) {
-        o[trust] = -v[xi];
-        for (int i = 0; i < n; ++i) o[trust + 1 + i] = -scale[p * n + i] * v[i];
-      }
-      o[virtual_] = -v[zeta];
-      for (int i = 0; i < m; ++i) {
-        Pack s = soft[p * m + i], l = link_[p * m + i];
-        o[zero + i] = (1.0 - s) * l;
-        o[virtual_ + 1 + i] = s * l;
-      }
-    }
+  JAXSCP_ONCE void times_constraints(Packs x, Packs out) const {
+    share(packs, m, [&](int p, int i) { carry_.of(p, m)[i] = of_nodes(p, before.times(p, i, of_primal(x, p))); });
+    share(packs, r + u, [&](int p, int i) {
+      Entries v = of_primal(x, p);
+      of_cones(out, p)[i] = i < r ? rows.times(p, i, v) : user.times(p, i - r, v);
+    });
+    share(packs, m, [&](int p, int i) {
+      Pack from_before = one_before(p > 0 ? carry_.of(p - 1, m)[i] : all(0.0), carry_.of(p, m)[i]);
+      Pack link = of_nodes(p, after.times(p, i, of_primal(x, p))) + from_before, s = soft.of(p, m)[i];
+      of_cones(out, p)[zero + i] = (1.0 - s) * link;
+      of_cones(out, p)[virtual_ + 1 + i] = s * link;
+    });
+    share(packs, n + 1, [&](int p, int i) {
+      Entries v = of_primal(x, p), o = of_cones(out, p);
+      if (i == n) o[virtual_] = -v[zeta];
+      if (!has_norm) return;
+      if (i == n) o[trust] = -v[xi];
+      else o[trust + 1 + i] = -scale.of(p, n)[i] * v[i];
+    });
   }
 
   // Multipliers of the links: those of hard rows, and the tails of the virtual controls' cones.
-  Pack link_multiplier(const Packs& y, int p, int i) const {
-    const Pack* v = &y[p * cone.size];
-    Pack s = soft[p * m + i];
+  Pack link_multiplier(Packs y, int p, int i) const {
+    Entries v = of_cones(y, p);
+    Pack s = soft.of(p, m)[i];
     return (1.0 - s) * v[zero + i] + s * v[virtual_ + 1 + i];
   }
 
   // A' y.
-  void times_constraints_transposed(const Packs& y, Packs& out) const {
-    for (int p = 0; p < packs; ++p) {
-      const Pack* v = &y[p * cone.size];
-      Pack* o = &out[p * primal.size];
-      for (int i = 0; i < n; ++i) o[i] = has_norm ? -scale[p * n + i] * v[trust + 1 + i] : all(0.0);
-      for (int i = 0; i < m; ++i) {
-        Pack here = link_multiplier(y, p, i);
-        Pack next = p + 1 < packs ? link_multiplier(y, p + 1, i) : all(0.0);
-        after.add_transposed(p, i, here, o);
-        before.add_transposed(p, i, one_after(here, next), o);
-      }
-      for (int i = 0; i < r; ++i) rows.add_transposed(p, i, v[i], o);
-      for (int i = 0; i < u; ++i) user.add_transposed(p, i, v[r + i], o);
-      o[xi] = has_norm ? -v[trust] : all(0.0);
-      o[zeta] = -v[virtual_];
-    }
+  JAXSCP_ONCE void times_constraints_transposed(Packs y, Packs out) const {
+    share(packs, m, [&](int p, int i) { carry_.of(p, m)[i] = link_multiplier(y, p, i); });
+    share(packs, primal.size, [&](int p, int j) {
+      Entries v = of_cones(y, p), o = of_primal(out, p), link = carry_.of(p, m), next = carry_.of(p + 1, m);
+      if (j == xi) o[j] = has_norm ? -v[trust] : all(0.0);
+      if (j == zeta) o[j] = -v[virtual_];
+      if (j >= n) return;
+      bool last = p + 1 == packs;
+      Pack total = has_norm ? -scale.of(p, n)[j] * v[trust + 1 + j] : all(0.0);
+      total = after.add_transposed(p, j, total, [&](int i) { return link[i]; });
+      total = before.add_transposed(p, j, total, [&](int i) { return one_after(link[i], last ? all(0.0) : next[i]); });
+      total = rows.add_transposed(p, j, total, [&](int i) { return v[i]; });
+      o[j] = user.add_transposed(p, j, total, [&](int i) { return v[r + i]; });
+    });
   }
 
-  // Half-spaces and second-order cones of every pack: their places in a ConeVector, and a cone's among all.
+  // Half-spaces and second-order cones of every pack: a place in its part of a ConeVector, and which of its cones.
   template <typename HalfSpace, typename SecondOrder>
   void each(HalfSpace half_space, SecondOrder second_order) const {
-    for (int p = 0, c = 0; p < packs; ++p) {
-      for (int i = 0; i < r; ++i) half_space(p * cone.size + i);
-      for (auto& k : cones) second_order(p * cone.size + k.offset, k.dimension, c++);
-    }
+    share(packs, r + cone_count, [&](int p, int k) {
+      if (k < r) return half_space(p, k);
+      Cone c = cone_at(k - r);
+      second_order(p, c.offset, c.dimension, k - r);
+    });
   }
 
-  void clear_zero_cone(Packs& v) const {
-    for (int p = 0; p < packs; ++p)
-      for (int i = 0; i < m; ++i) v[p * cone.size + zero + i] = all(0.0);
+  JAXSCP_ONCE void clear_zero_cone(Packs v) const {
+    share(packs, m, [&](int p, int i) { of_cones(v, p)[zero + i] = all(0.0); });
   }
-
-  // Of ``cones``, in each pack: the user's come first, then that of the trust region, if any, and the virtual control's.
-  size_t virtual_cone() const { return cones.size() - 1; }
-  size_t trust_cone() const { return cones.size() - 2; }
-  size_t user_cones() const { return cones.size() - (has_norm ? 2 : 1); }
 
   // Places beyond the chain's end hold nothing that counts; what is carried to others or summed is taken from here.
-  Pack of_nodes(int p, Pack v) const { return where(is_node[p], v, all(0.0)); }
-  Pack of_links(int p, Pack v) const { return where(is_link[p], v, all(0.0)); }
+  Pack of_nodes(int p, Pack v) const { return where(within(p, nodes), v, all(0.0)); }
+  Pack of_links(int p, Pack v) const { return where(within(p, nodes + 1), v, all(0.0)); }
+  Pack of_places(int p, int i, Shape shape, Pack v) const { return i < shape.of_node ? of_nodes(p, v) : of_links(p, v); }
 
-  double dot(const Packs& a, const Packs& b, Shape shape) const {
-    Pack total = all(0.0);
-    for (int p = 0; p < packs; ++p) {
-      const Pack *v = &a[p * shape.size], *w = &b[p * shape.size];
-      total += of_nodes(p, jaxscp::dot(v, w, shape.of_node));
-      total += of_links(p, jaxscp::dot(v + shape.of_node, w + shape.of_node, shape.size - shape.of_node));
-    }
-    return sum(total);
+  JAXSCP_ONCE double dot(Packs a, Packs b, Shape shape) const {
+    return sum_of(packs, shape.size, [&](int p, int i) {
+      return of_places(p, i, shape, a.of(p, shape.size)[i] * b.of(p, shape.size)[i]);
+    });
   }
 
   // The largest entry without its sign.
-  double largest_of(const Packs& a, Shape shape) const {
-    Pack most = all(0.0);
-    for (int p = 0; p < packs; ++p)
-      for (int i = 0; i < shape.size; ++i) {
-        Pack v = magnitude(a[p * shape.size + i]);
-        most = larger(i < shape.of_node ? of_nodes(p, v) : of_links(p, v), most);
-      }
-    return largest(most);
+  JAXSCP_ONCE double largest_of(Packs a, Shape shape) const {
+    return jaxscp::largest_of(packs, shape.size, [&](int p, int i) {
+      return of_places(p, i, shape, magnitude(a.of(p, shape.size)[i]));
+    });
   }
 
  private:
-  std::vector<ConeShape> groups_;
-  mutable Packs carry_, link_;
+  Packs carry_;
 };
 
 }  // namespace jaxscp

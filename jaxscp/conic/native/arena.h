@@ -1,0 +1,85 @@
+// Room for arrays: one stretch of memory for a program and its solver, from which each takes what it needs.
+#pragma once
+
+#include "layout.h"
+
+namespace jaxscp {
+
+// The numbers that a vector has at one place. On a GPU those of neighbouring places, which neighbouring threads work
+// on, lie side by side.
+#if defined(__CUDACC__)
+struct Entries {
+  double* first;
+  double& operator[](int i) const { return first[i * kLayout.packs]; }
+  Entries operator+(int i) const { return {first + i * kLayout.packs}; }
+};
+constexpr int kAtOnce = 4;
+#else
+using Entries = Pack*;
+constexpr int kAtOnce = 1;
+#endif
+
+// An array in the arena; copies are of the same numbers.
+struct Packs {
+  Pack* data = nullptr;
+  int size = 0;
+  Pack& operator[](int i) const { return data[i]; }
+
+  // Those at pack p, of ``count`` at every pack.
+#if defined(__CUDACC__)
+  Entries of(int p, int) const { return {data + p}; }
+#else
+  Entries of(int p, int count) const { return data + p * count; }
+#endif
+};
+
+class Arena {
+ public:
+  // Without memory it only counts.
+  explicit Arena(Pack* memory = nullptr) : memory_(memory) {}
+
+  Packs take(int count) {
+    Packs taken{memory_ ? memory_ + used_ : nullptr, count};
+    used_ += (count + kAligned - 1) / kAligned * kAligned;
+    return taken;
+  }
+  int* take_integers(int count) {
+    constexpr int kOfPack = sizeof(Pack) / sizeof(int);
+    return reinterpret_cast<int*>(take((count + kOfPack - 1) / kOfPack).data);
+  }
+  long long used() const { return used_; }
+
+ private:
+  static constexpr int kAligned = kTogether / kWidth;
+
+  Pack* memory_;
+  long long used_ = 0;
+};
+
+// out[i] = value(i) from ``first`` on; some at once, so that what one reads need not wait until another is written.
+template <typename Value>
+inline void put(Entries out, int first, int end, Value value) {
+#pragma unroll 1
+  for (int i = first; i < end; i += kAtOnce) {
+    Pack v[kAtOnce];
+#pragma unroll
+    for (int k = 0; k < kAtOnce; ++k)
+      if (i + k < end) v[k] = value(i + k);
+#pragma unroll
+    for (int k = 0; k < kAtOnce; ++k)
+      if (i + k < end) out[i + k] = v[k];
+  }
+}
+
+inline Pack dot(Entries a, Entries b, int size) {
+  Pack total[4] = {all(0.0), all(0.0), all(0.0), all(0.0)};  // four sums in turn: none waits for the one before
+  int i = 0;
+#pragma unroll 1
+  for (; i + 4 <= size; i += 4)
+    for (int k = 0; k < 4; ++k) total[k] += a[i + k] * b[i + k];
+#pragma unroll 1
+  for (; i < size; ++i) total[0] += a[i] * b[i];
+  return (total[0] + total[1]) + (total[2] + total[3]);
+}
+
+}  // namespace jaxscp

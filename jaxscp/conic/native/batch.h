@@ -1,0 +1,95 @@
+// A batch of programs of one shape, as arrays that have the batch as their leading axis: lane by lane.
+#pragma once
+
+#include "interior_point.h"
+
+namespace jaxscp {
+
+template <typename T>
+struct Lanes {
+  T* data = nullptr;
+  long long stride = 0;  // numbers from one lane to the next
+  T* of(long long lane) const { return data + lane * stride; }
+};
+using Input = Lanes<const double>;
+using Output = Lanes<double>;
+
+struct Batch {
+  long long lanes;
+  Settings settings;
+  Input hessian, gradient, before, after, link_offset, soft, link_weight, row_matrix, row_offset, cost_scale;
+  Input cone_matrix[kMaxGroups], cone_offset[kMaxGroups];
+  Input norm_weight, norm_scale, norm_centre;
+  Output z, xi, zeta, y_zero, y_orthant, y_second, s_orthant, s_second, tau, kappa, error, infeasibility, unboundedness;
+  int cones, width;  // second-order cones of all places together, and the largest dimension
+  Lanes<long long> iterations;
+  Lanes<bool> stalled, broken;
+};
+
+// act(array) for all of them.
+template <typename Act>
+void each_array(Batch& b, Act act) {
+  act(b.hessian), act(b.gradient), act(b.before), act(b.after), act(b.link_offset), act(b.soft), act(b.link_weight);
+  act(b.row_matrix), act(b.row_offset), act(b.cost_scale);
+  for (auto& v : b.cone_matrix) act(v);
+  for (auto& v : b.cone_offset) act(v);
+  act(b.norm_weight), act(b.norm_scale), act(b.norm_centre);
+  act(b.z), act(b.xi), act(b.zeta), act(b.y_zero), act(b.y_orthant), act(b.y_second), act(b.s_orthant), act(b.s_second);
+  act(b.tau), act(b.kappa), act(b.error), act(b.infeasibility), act(b.unboundedness);
+  act(b.iterations), act(b.stalled), act(b.broken);
+}
+
+inline Given given(const Batch& v, int groups, long long lane) {
+  Given g{v.hessian.of(lane),    v.gradient.of(lane),   v.before.of(lane),      v.after.of(lane),
+          v.link_offset.of(lane), v.soft.of(lane),       v.link_weight.of(lane), v.row_matrix.of(lane),
+          v.row_offset.of(lane), {},                    v.norm_weight.of(lane), v.norm_scale.of(lane),
+          v.norm_centre.of(lane)};
+  for (int c = 0; c < groups; ++c) g.cones[c] = {v.cone_matrix[c].of(lane), v.cone_offset[c].of(lane)};
+  return g;
+}
+
+// Second-order cones in the order of ``kkt._pack``: the user's groups, trust region, virtual control.
+inline void put_cones(const Program& p, Packs from, int cones, int width, double* to) {
+  share(cones * width, [&](int i) { to[i] = 0.0; });
+  auto group = [&](int offset, ConeShape shape, int places) {
+    int each = shape.count * shape.dimension;
+    share(places, each, [&](int k, int i) {
+      int cone = k * shape.count + i / shape.dimension;
+      to[cone * width + i % shape.dimension] = get(p.of_cones(from, k / kWidth)[offset + i], k % kWidth);
+    });
+    to += places * shape.count * width;
+  };
+  int offset = p.r;
+  for (int c = 0; c < p.sizes.groups; ++c) {
+    group(offset, p.sizes.cones[c], p.nodes);
+    offset += p.sizes.cones[c].count * p.sizes.cones[c].dimension;
+  }
+  if (p.has_norm) group(p.trust, {1, 1 + p.n}, p.nodes);
+  group(p.virtual_, {1, 1 + p.m}, p.nodes + 1);
+}
+
+inline void solve_lane(const Batch& batch, long long lane, Program& program, InteriorPoint& solver) {
+  program.read(given(batch, program.sizes.groups, lane));
+  solver.run(*batch.cost_scale.of(lane));
+
+  const Program& p = program;
+  const Iterate& v = solver.iterate();
+  scatter(v.x, 0, p.primal.size, p.nodes, p.n, batch.z.of(lane));
+  if (p.has_norm) scatter(v.x, p.xi, p.primal.size, p.nodes, 1, batch.xi.of(lane));
+  scatter(v.x, p.zeta, p.primal.size, p.nodes + 1, 1, batch.zeta.of(lane));
+  scatter(v.y, p.zero, p.cone.size, p.nodes + 1, p.m, batch.y_zero.of(lane));
+  scatter(v.y, 0, p.cone.size, p.nodes, p.r, batch.y_orthant.of(lane));
+  scatter(v.s, 0, p.cone.size, p.nodes, p.r, batch.s_orthant.of(lane));
+  put_cones(p, v.y, batch.cones, batch.width, batch.y_second.of(lane));
+  put_cones(p, v.s, batch.cones, batch.width, batch.s_second.of(lane));
+  once([&] {
+    *batch.tau.of(lane) = v.tau, *batch.kappa.of(lane) = v.kappa;
+    const Residuals& r = solver.residuals();
+    *batch.error.of(lane) = r.error;
+    *batch.infeasibility.of(lane) = r.infeasibility, *batch.unboundedness.of(lane) = r.unboundedness;
+    *batch.iterations.of(lane) = solver.iterations;
+    *batch.stalled.of(lane) = solver.stalled, *batch.broken.of(lane) = solver.broken;
+  });
+}
+
+}  // namespace jaxscp

@@ -1,0 +1,92 @@
+// What XLA passes to a handler, read as a batch of programs: the same on every device.
+#pragma once
+
+#include "batch.h"
+#include "xla/ffi/api/ffi.h"
+
+namespace jaxscp {
+
+namespace ffi = xla::ffi;
+
+// A batch, and the sizes of each of its programs.
+struct Shaped {
+  Sizes sizes;
+  Batch batch;
+};
+
+// Arguments and results are those of ``native/__init__.py``, in its order; so are the attributes.
+inline ffi::ErrorOr<Shaped> shaped(ffi::RemainingArgs args, ffi::RemainingRets rets, ffi::Dictionary attrs) {
+  Shaped s{};
+  Batch& b = s.batch;
+  ffi::Error error = ffi::Error::Success();
+  auto number = [&](const char* name) {
+    auto v = attrs.get<double>(name);
+    if (!v.has_value()) error = v.error();
+    return v.has_value() ? *v : 0.0;
+  };
+  auto integer = [&](const char* name) {
+    auto v = attrs.get<int64_t>(name);
+    if (!v.has_value()) error = v.error();
+    return v.has_value() ? static_cast<int>(*v) : 0;
+  };
+  b.settings = {number("tolerance"),      number("proof_tolerance"), number("loose_tolerance"),
+                number("regularisation"), integer("max_iterations"), integer("refinements")};
+  s.sizes.has_norm = integer("has_norm") != 0;
+
+  // axes from the end: of the last, one
+  auto axis = [](const auto& v, size_t k) { return static_cast<int>(v.dimensions()[v.dimensions().size() - k]); };
+  auto argument = [&](size_t i, Input& to, int* first = nullptr, int* second = nullptr) {
+    auto v = args.get<ffi::Buffer<ffi::F64>>(i);
+    if (!v.has_value()) return void(error = v.error());
+    to = {v->typed_data(), static_cast<long long>(v->element_count())};
+    if (first) *first = axis(*v, 2);
+    if (second) *second = axis(*v, 1);
+  };
+  size_t next = 0;
+  argument(next++, b.hessian);
+  argument(next++, b.gradient, &s.sizes.nodes, &s.sizes.variables);
+  argument(next++, b.before);
+  argument(next++, b.after);
+  argument(next++, b.link_offset);
+  argument(next++, b.soft, nullptr, &s.sizes.link_rows);
+  argument(next++, b.link_weight);
+  argument(next++, b.row_matrix);
+  argument(next++, b.row_offset, nullptr, &s.sizes.rows);
+  argument(next++, b.cost_scale);
+  s.sizes.groups = static_cast<int>(args.size() - next - (s.sizes.has_norm ? 3 : 0)) / 2;
+  if (s.sizes.groups > kMaxGroups) return ffi::Unexpected(ffi::Error::InvalidArgument("too many groups of cones"));
+  int cones = 2;
+  for (int c = 0; c < s.sizes.groups; ++c) {
+    argument(next++, b.cone_matrix[c]);
+    argument(next++, b.cone_offset[c], &s.sizes.cones[c].count, &s.sizes.cones[c].dimension);
+    cones += s.sizes.cones[c].count;
+  }
+  if (cones > kMaxCones) return ffi::Unexpected(ffi::Error::InvalidArgument("too many cones at a node"));
+  if (s.sizes.has_norm)
+    for (Input* to : {&b.norm_weight, &b.norm_scale, &b.norm_centre}) argument(next++, *to);
+  b.lanes = b.cost_scale.stride;  // one number a lane
+
+  auto result = [&](size_t i, auto tag, auto& to, int* first = nullptr, int* second = nullptr) {
+    auto v = rets.get<ffi::Buffer<decltype(tag)::value>>(i);
+    if (!v.has_value()) return void(error = v.error());
+    using Number = std::remove_pointer_t<decltype(to.data)>;
+    to = {reinterpret_cast<Number*>((*v)->untyped_data()), static_cast<long long>((*v)->element_count())};
+    if (first) *first = axis(**v, 2);
+    if (second) *second = axis(**v, 1);
+  };
+  std::integral_constant<ffi::DataType, ffi::F64> real;
+  size_t out = 0;
+  for (Output* to : {&b.z, &b.xi, &b.zeta, &b.y_zero, &b.y_orthant}) result(out++, real, *to);
+  result(out++, real, b.y_second, &b.cones, &b.width);
+  for (Output* to : {&b.s_orthant, &b.s_second, &b.tau, &b.kappa, &b.error, &b.infeasibility, &b.unboundedness})
+    result(out++, real, *to);
+  result(out++, std::integral_constant<ffi::DataType, ffi::S64>(), b.iterations);
+  for (auto* to : {&b.stalled, &b.broken}) result(out++, std::integral_constant<ffi::DataType, ffi::PRED>(), *to);
+  if (error.failure()) return ffi::Unexpected(error);
+
+  // until here a stride was the number of all entries
+  each_array(b, [&](auto& v) { v.stride /= std::max<long long>(b.lanes, 1); });
+  return s;
+}
+
+}  // namespace jaxscp

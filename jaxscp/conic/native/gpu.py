@@ -1,0 +1,125 @@
+"""The kernel of the interior point for NVIDIA GPUs: ``kernel.cu``, compiled for a program's sizes when it is needed.
+
+NVIDIA's run-time compiler makes it from the same headers as the loop for CPUs; the extra ``cuda`` has what that takes.
+Without it, and on other GPUs, the interior point runs as JAX.
+"""
+
+import functools
+import hashlib
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from jaxscp.conic.program import StagedProgram
+
+TARGET = "jaxscp_interior_point_on_gpu"
+OLDEST = (8, 0)  # compute capability: the first whose tensor cores add float64
+THREADS = 256  # that solve a program together
+BLOCKS = 3  # programs that a multiprocessor has at once
+WARP = 32
+LARGEST = 96  # float64 numbers of a panel that a thread has in its registers
+
+
+class Sizes(NamedTuple):
+    """Those of a program, in the order of ``layout.h``."""
+
+    nodes: int
+    variables: int
+    link_rows: int
+    rows: int
+    has_norm: bool
+    cones: tuple[tuple[int, int], ...]
+    """(number, dimension) of each group at a node."""
+
+    def __str__(self) -> str:
+        groups = ",".join(f"{{{count},{dimension}}}" for count, dimension in self.cones)
+        numbers = [*self[:4], str(self.has_norm).lower(), len(self.cones)]
+        return ",".join(map(str, numbers)) + f",{{{groups}}}"
+
+    @property
+    def fit(self) -> bool:
+        """Whether a warp can eliminate the nodes and links: a lane has a row, or two or three, in its registers."""
+        held = lambda rows: -(-rows // WARP)  # noqa: E731
+        node = held(self.variables + 2 * self.link_rows) * self.variables
+        link = held(3 * self.link_rows) * self.link_rows
+        return max(self.variables, self.link_rows) <= WARP and max(node, link) <= LARGEST
+
+
+def sizes_of(program: StagedProgram) -> Sizes:
+    """Sizes of a program."""
+    links, rows = program.links.soft.shape[1], program.rows.offset.shape[1]
+    cones = tuple((c.offset.shape[1], c.offset.shape[2]) for c in program.cones)
+    return Sizes(program.nodes, program.variables, links, rows, program.norm is not None, cones)
+
+
+def available() -> bool:
+    """Whether JAX's default device is a GPU that the kernel can be compiled for."""
+    return capability() is not None and compiler() is not None
+
+
+def capability() -> str | None:
+    """Compute capability of JAX's default device, ``"90"`` say, if it is a GPU with what the kernel needs."""
+    found = getattr(jax.devices()[0], "compute_capability", None) if jax.default_backend() == "gpu" else None
+    if found is None or not all(part.isdecimal() for part in found.split(".")):
+        return None
+    number = tuple(map(int, found.split(".")))
+    return "".join(map(str, number)) if number >= OLDEST else None
+
+
+@functools.cache
+def compiler():
+    """NVIDIA's run-time compiler, if it is installed."""
+    try:
+        from cuda.bindings import nvrtc
+
+        nvrtc.nvrtcVersion()
+    except (ImportError, RuntimeError, OSError):
+        return None
+    return nvrtc
+
+
+@functools.cache
+def kernel(sizes: Sizes, capability: str) -> bytes:
+    """The kernel for programs of these sizes, as the GPU's machine code.
+
+    Raises:
+        RuntimeError: with the compiler's words, if it does not compile.
+    """
+    nvrtc = compiler()
+    folder = Path(__file__).parent
+    options = [
+        f"--gpu-architecture=sm_{capability}",
+        "--std=c++20",
+        "--device-as-default-execution-space",
+        f"--include-path={folder}",
+        f"-DJAXSCP_SIZES={sizes}",
+        f"-DJAXSCP_THREADS={THREADS}",
+        f"-DJAXSCP_BLOCKS={BLOCKS}",
+    ]
+    source = (folder / "kernel.cu").read_bytes()
+
+    def checked(result, *values):
+        if int(result) != 0:
+            raise RuntimeError(f"NVIDIA's compiler: {result}")
+        return values[0] if values else None
+
+    program = checked(*nvrtc.nvrtcCreateProgram(source, b"kernel.cu", 0, [], []))
+    (result,) = nvrtc.nvrtcCompileProgram(program, len(options), [option.encode() for option in options])
+    if int(result) != 0:
+        log = bytearray(checked(*nvrtc.nvrtcGetProgramLogSize(program)))
+        checked(*nvrtc.nvrtcGetProgramLog(program, log))
+        raise RuntimeError(f"the interior point's kernel does not compile: {log.decode()}")
+    image = bytearray(checked(*nvrtc.nvrtcGetCUBINSize(program)))
+    checked(*nvrtc.nvrtcGetCUBIN(program, image))
+    checked(*nvrtc.nvrtcDestroyProgram(program))
+    return bytes(image)
+
+
+def attributes(program: StagedProgram, capability: str) -> dict:
+    """What a call carries with it for the kernel's sake."""
+    image = kernel(sizes_of(program), capability)
+    name = hashlib.sha256(image).hexdigest()
+    numbers = {"blocks": np.int64(BLOCKS), "threads": np.int64(THREADS)}
+    return {"image": np.frombuffer(image, np.uint8), "name": name, **numbers}

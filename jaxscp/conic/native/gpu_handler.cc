@@ -1,0 +1,165 @@
+// What XLA calls on an NVIDIA GPU: launches the kernel that ``gpu.py`` compiled, which the call carries with it.
+//
+// The driver is found when it is first needed, so that this compiles and loads on machines without one.
+
+#include <dlfcn.h>
+
+#include <map>
+#include <mutex>
+#include <string>
+
+#include "buffers.h"
+
+extern "C" {
+typedef struct CUctx_st* CUcontext;
+typedef struct CUstream_st* CUstream;
+typedef struct CUmod_st* CUmodule;
+typedef struct CUfunc_st* CUfunction;
+}
+
+namespace jaxscp {
+namespace {
+
+// The few functions of the driver that are needed, by NVIDIA's names and types.
+struct Driver {
+  int (*cuStreamGetCtx)(CUstream, CUcontext*);
+  int (*cuCtxPushCurrent_v2)(CUcontext);
+  int (*cuCtxPopCurrent_v2)(CUcontext*);
+  int (*cuCtxGetDevice)(int*);
+  int (*cuDeviceGetAttribute)(int*, int, int);
+  int (*cuModuleLoadData)(CUmodule*, const void*);
+  int (*cuModuleGetFunction)(CUfunction*, CUmodule, const char*);
+  int (*cuLaunchKernel)(CUfunction, unsigned, unsigned, unsigned, unsigned, unsigned, unsigned, unsigned, CUstream,
+                        void**, void**);
+  int (*cuMemsetD8Async)(unsigned long long, unsigned char, size_t, CUstream);
+  int (*cuMemcpyDtoHAsync_v2)(void*, unsigned long long, size_t, CUstream);
+  int (*cuStreamSynchronize)(CUstream);
+  bool found = true;
+
+  Driver() {
+    void* library = dlopen("libcuda.so.1", RTLD_NOW | RTLD_GLOBAL);
+    auto find = [&](auto& function, const char* name) {
+      void* address = library ? dlsym(library, name) : nullptr;
+      found = found && address;
+      function = reinterpret_cast<std::remove_reference_t<decltype(function)>>(address);
+    };
+    find(cuStreamGetCtx, "cuStreamGetCtx"), find(cuCtxPushCurrent_v2, "cuCtxPushCurrent_v2");
+    find(cuCtxPopCurrent_v2, "cuCtxPopCurrent_v2"), find(cuCtxGetDevice, "cuCtxGetDevice");
+    find(cuDeviceGetAttribute, "cuDeviceGetAttribute"), find(cuModuleLoadData, "cuModuleLoadData");
+    find(cuModuleGetFunction, "cuModuleGetFunction"), find(cuLaunchKernel, "cuLaunchKernel");
+    find(cuMemsetD8Async, "cuMemsetD8Async"), find(cuMemcpyDtoHAsync_v2, "cuMemcpyDtoHAsync_v2");
+    find(cuStreamSynchronize, "cuStreamSynchronize");
+  }
+  static const Driver& get() {
+    static Driver driver;
+    return driver;
+  }
+};
+
+constexpr int kMultiprocessors = 16;  // CU_DEVICE_ATTRIBUTE_MULTIPROCESSOR_COUNT
+
+// The first failure of the driver, with what was tried.
+struct Failure {
+  int code = 0;
+  const char* what = "";
+  bool operator()(int result, const char* tried) {
+    if (result != 0 && code == 0) code = result, what = tried;
+    return code == 0;
+  }
+  ffi::Error error() const {
+    if (code == 0) return ffi::Error::Success();
+    return ffi::Error::Internal(std::string("the interior point's kernel: ") + what + " failed with CUDA error " +
+                                std::to_string(code));
+  }
+};
+
+// A kernel in a GPU's memory.
+struct Loaded {
+  CUfunction solve = nullptr;
+  long long room = 0;  // numbers that a program and its solver take
+  int multiprocessors = 0;
+};
+
+Loaded load(const Driver& cuda, ffi::Span<const uint8_t> image, CUstream stream, void* scratch, Failure& failure) {
+  Loaded loaded;
+  CUmodule module = nullptr;
+  CUfunction room = nullptr;
+  int device = 0;
+  auto number = reinterpret_cast<unsigned long long>(scratch);
+  void* arguments[] = {&scratch};
+  failure(cuda.cuModuleLoadData(&module, image.begin()), "loading it") &&
+      failure(cuda.cuModuleGetFunction(&loaded.solve, module, "jaxscp_solve"), "finding it") &&
+      failure(cuda.cuModuleGetFunction(&room, module, "jaxscp_room"), "finding it") &&
+      failure(cuda.cuCtxGetDevice(&device), "finding the device") &&
+      failure(cuda.cuDeviceGetAttribute(&loaded.multiprocessors, kMultiprocessors, device), "asking the device") &&
+      failure(cuda.cuLaunchKernel(room, 1, 1, 1, 1, 1, 1, 0, stream, arguments, nullptr), "launching it") &&
+      failure(cuda.cuMemcpyDtoHAsync_v2(&loaded.room, number, sizeof(loaded.room), stream), "asking for its room") &&
+      failure(cuda.cuStreamSynchronize(stream), "asking for its room");
+  return loaded;
+}
+
+// ``blocks``: how many a multiprocessor is to hold at once, of ``threads`` each.
+ffi::Error solve(CUstream stream, ffi::ScratchAllocator scratch, ffi::RemainingArgs args, ffi::RemainingRets rets,
+                 ffi::Dictionary attrs) {
+  auto found = shaped(args, rets, attrs);
+  if (!found.has_value()) return found.error();
+  auto image = attrs.get<ffi::Span<const uint8_t>>("image");
+  auto name = attrs.get<std::string_view>("name");
+  auto blocks = attrs.get<int64_t>("blocks"), threads = attrs.get<int64_t>("threads");
+  if (!image.has_value() || !name.has_value() || !blocks.has_value() || !threads.has_value())
+    return ffi::Error::InvalidArgument("the interior point's kernel is not part of the call");
+  const Driver& cuda = Driver::get();
+  if (!cuda.found) return ffi::Error::Internal("the CUDA driver was not found, or is too old");
+
+  Failure failure;
+  CUcontext context = nullptr;
+  if (!failure(cuda.cuStreamGetCtx(stream, &context), "finding the device") ||
+      !failure(cuda.cuCtxPushCurrent_v2(context), "finding the device"))
+    return failure.error();
+  constexpr size_t kCounter = 256;   // bytes, so that what follows is aligned
+  constexpr size_t kAlignment = 16;  // XLA promises no more, and gives 256
+  Loaded loaded;
+  {
+    static std::mutex lock;
+    static std::map<std::pair<CUcontext, std::string>, Loaded> kept;
+    std::lock_guard<std::mutex> hold(lock);
+    auto key = std::make_pair(context, std::string(*name));
+    auto at = kept.find(key);
+    if (at == kept.end()) {
+      auto number = scratch.Allocate(kCounter, kAlignment);
+      if (!number) failure(2, "finding memory for it");
+      else loaded = load(cuda, *image, stream, *number, failure);
+      if (failure.code == 0) kept.emplace(key, loaded);
+    } else {
+      loaded = at->second;
+    }
+  }
+  if (failure.code == 0 && found->batch.lanes > 0) {
+    long long grid = std::min<long long>(found->batch.lanes, *blocks * loaded.multiprocessors);
+    auto memory = scratch.Allocate(kCounter + grid * loaded.room * sizeof(double), kAlignment);
+    if (!memory) {
+      failure(2, "finding memory for it");
+    } else {
+      void *taken = *memory, *room = static_cast<char*>(taken) + kCounter;
+      void* arguments[] = {&found->batch, &room, &loaded.room, &taken};
+      failure(cuda.cuMemsetD8Async(reinterpret_cast<unsigned long long>(taken), 0, kCounter, stream), "starting it") &&
+          failure(cuda.cuLaunchKernel(loaded.solve, static_cast<unsigned>(grid), 1, 1, static_cast<unsigned>(*threads),
+                                      1, 1, 0, stream, arguments, nullptr),
+                  "launching it");
+    }
+  }
+  cuda.cuCtxPopCurrent_v2(&context);
+  return failure.error();
+}
+
+}  // namespace
+}  // namespace jaxscp
+
+XLA_FFI_DEFINE_HANDLER_SYMBOL(
+    jaxscp_interior_point_on_gpu, jaxscp::solve,
+    xla::ffi::Ffi::Bind()
+        .Ctx<xla::ffi::PlatformStream<CUstream>>()
+        .Ctx<xla::ffi::ScratchAllocator>()
+        .RemainingArgs()
+        .RemainingRets()
+        .Attrs());

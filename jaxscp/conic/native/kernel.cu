@@ -1,0 +1,30 @@
+// The kernel: each block solves one program after another. Compiled for the sizes by ``gpu.py``.
+#include "batch.h"
+
+using namespace jaxscp;
+
+extern "C" __global__ void jaxscp_room(long long* numbers) {
+  Arena counting;
+  Program program(kLayout, counting);
+  InteriorPoint solver(program, Settings{}, counting);
+  *numbers = counting.used();
+}
+
+extern "C" __global__ void __launch_bounds__(kThreads, JAXSCP_BLOCKS)
+    jaxscp_solve(const __grid_constant__ Batch batch, double* room, long long numbers, unsigned long long* taken) {
+  // One for the block: with one for each thread, where its arrays are would be read more often than what is in them.
+  alignas(16) __shared__ char program_room[sizeof(Program)], solver_room[sizeof(InteriorPoint)];
+  Program& program = *reinterpret_cast<Program*>(program_room);
+  InteriorPoint& solver = *reinterpret_cast<InteriorPoint*>(solver_room);
+  once([&] {
+    Arena arena(room + blockIdx.x * numbers);
+    new (program_room) Program(kLayout, arena);
+    new (solver_room) InteriorPoint(program, batch.settings, arena);
+  });
+  __shared__ long long lane;
+  for (;;) {
+    once([&] { lane = atomicAdd(taken, 1ull); });
+    if (lane >= batch.lanes) break;
+    solve_lane(batch, lane, program, solver);
+  }
+}

@@ -1,0 +1,112 @@
+// Sizes of a program, and what follows from them: where everything lies in its vectors.
+#pragma once
+
+#include "pack.h"
+
+namespace jaxscp {
+
+// Places of a program come in so many: on a GPU, lanes of a warp.
+#if defined(__CUDACC__)
+constexpr int kTogether = 32;
+#else
+constexpr int kTogether = kWidth;
+#endif
+
+constexpr int kMaxGroups = 8;  // of cones
+constexpr int kMaxCones = 64;  // of a node
+
+struct ConeShape {
+  int count, dimension;
+};
+
+// All that the sizes of arrays follow from.
+struct Sizes {
+  int nodes, variables, link_rows, rows;
+  bool has_norm;
+  int groups;
+  ConeShape cones[kMaxGroups];
+};
+
+// A second-order cone's place in a ConeVector.
+struct Cone {
+  int offset, dimension;
+  bool of_link;
+};
+
+// How many packs a vector has of each eight places: those of a node first, then those of its link.
+struct Shape {
+  int size, of_node;
+};
+
+// Of (z, xi, zeta), and of a ConeVector: (rows, the user's cones, trust region, zero cone, virtual control).
+struct Layout {
+  Sizes sizes;
+  int nodes, n, m, r, u;  // variables, link rows, half-spaces, rows of the user's cones
+  bool has_norm;
+  int packs;
+  Shape primal, cone;
+  int xi, zeta, trust, zero, virtual_;  // offsets; those of z and rows are zero, the user's cones follow the rows
+  // of a node: the user's come first, then the trust region's, if any, and the virtual control's
+  int cone_count, user_cones, trust_cone, virtual_cone;
+  Cone cones[kMaxCones];
+  double degree;  // number of complementarity pairs, that of tau and kappa too
+
+  constexpr explicit Layout(const Sizes& s)
+      : sizes(s), nodes(s.nodes), n(s.variables), m(s.link_rows), r(s.rows), u(0), has_norm(s.has_norm),
+        packs(packs_for(s.nodes + 1, kTogether)), primal{n + 2, n + 1}, cone{}, xi(n), zeta(n + 1), trust(0), zero(0), virtual_(0),
+        cone_count(0), user_cones(0), trust_cone(0), virtual_cone(0), cones{}, degree(0.0) {
+    int at = r;
+    for (int g = 0; g < s.groups; ++g)
+      for (int i = 0; i < s.cones[g].count; ++i, at += s.cones[g].dimension)
+        cones[cone_count++] = {at, s.cones[g].dimension, false};
+    u = at - r, user_cones = cone_count;
+    trust = at, trust_cone = cone_count;
+    if (has_norm) cones[cone_count++] = {trust, 1 + n, false};
+    zero = trust + (has_norm ? 1 + n : 0), virtual_ = zero + m, cone = {virtual_ + 1 + m, zero};
+    virtual_cone = cone_count;
+    cones[cone_count++] = {virtual_, 1 + m, true};
+    degree = static_cast<double>(nodes) * (r + cone_count - 1) + (nodes + 1) + 1;
+  }
+
+  Cone cone_at(int c) const { return cones[c]; }
+};
+
+// On a GPU a kernel is compiled for the sizes: all that follows from them is then a constant.
+#if defined(__CUDACC__)
+constexpr Layout kLayout(Sizes{JAXSCP_SIZES});
+
+struct ProgramLayout {
+  static constexpr int nodes = kLayout.nodes, n = kLayout.n, m = kLayout.m, r = kLayout.r, u = kLayout.u;
+  static constexpr bool has_norm = kLayout.has_norm;
+  static constexpr int packs = kLayout.packs;
+  static constexpr Sizes sizes = kLayout.sizes;
+  static constexpr Shape primal = kLayout.primal, cone = kLayout.cone;
+  static constexpr int xi = kLayout.xi, zeta = kLayout.zeta, trust = kLayout.trust, zero = kLayout.zero;
+  static constexpr int virtual_ = kLayout.virtual_, cone_count = kLayout.cone_count, user_cones = kLayout.user_cones;
+  static constexpr int trust_cone = kLayout.trust_cone, virtual_cone = kLayout.virtual_cone;
+  static constexpr double degree = kLayout.degree;
+
+  explicit ProgramLayout(const Layout&) {}
+  static Cone cone_at(int c) { return kLayout.cones[c]; }
+};
+
+// A symmetric matrix whose first ``size`` rows are eliminated, and the rows below them.
+template <int kSize, int kRows>
+struct PanelShape {
+  static constexpr int size = kSize, rows = kRows;
+};
+inline auto node_panel(const ProgramLayout&) { return PanelShape<kLayout.n, kLayout.n + 2 * kLayout.m>(); }
+inline auto link_panel(const ProgramLayout&) { return PanelShape<kLayout.m, 3 * kLayout.m>(); }
+inline auto last_panel(const ProgramLayout& g) { return link_panel(g); }  // with nothing below: one kind of code less
+#else
+using ProgramLayout = Layout;
+
+struct PanelShape {
+  int size, rows;
+};
+inline PanelShape node_panel(const ProgramLayout& g) { return {g.n, g.n + 2 * g.m}; }  // a node and its two links
+inline PanelShape link_panel(const ProgramLayout& g) { return {g.m, 3 * g.m}; }        // a link and its neighbours
+inline PanelShape last_panel(const ProgramLayout& g) { return {g.m, g.m}; }
+#endif
+
+}  // namespace jaxscp
