@@ -52,7 +52,7 @@ def write(file: str | os.PathLike, plan: Plan) -> None:
         "results": {"setup": len(plan.solve.shapes), "solve": len(jax.tree.leaves(plan.solution))},
         "platform": jax.default_backend(),
         "machine": machine(),
-        "native": native.available() and jax.default_backend() == "cpu",
+        "native": native.runs_here(),
     }
     target = pathlib.Path(file)
     partial = target.with_name(f"{target.name}.{os.getpid()}.partial")
@@ -61,7 +61,7 @@ def write(file: str | os.PathLike, plan: Plan) -> None:
             archive.writestr("header.json", json.dumps(header))
             for name in PROGRAMS:
                 program: Program = getattr(plan, name)
-                checks = [export.DisabledSafetyCheck.custom_call(native.TARGET)]
+                checks = [export.DisabledSafetyCheck.custom_call(target) for target in native.TARGETS]
                 portable = export.export(program.function, disabled_checks=checks)(*program.shapes)
                 archive.writestr(f"{name}.stablehlo", bytes(portable.serialize()), zipfile.ZIP_DEFLATED)
                 with without_cache():

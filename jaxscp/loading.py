@@ -43,10 +43,13 @@ def load(file: str | os.PathLike, *, compile: bool = True) -> CompiledPlanner:
             f"{file}: exported for {header['platform']}, but JAX runs on {jax.default_backend()}. Export it there, or "
             f"set JAX_PLATFORMS={header['platform']}."
         )
-    if header["native"] and not native.available():
+    if header["native"] and not native.runs_here():
         raise InvalidExport(
             f"{file}: calls the compiled interior point, which is not here; install jaxscp again with a C++ compiler."
         )
+    made_on = header["machine"].get("device")
+    if header["native"] and header["platform"] == "gpu" and made_on != jax.devices()[0].device_kind:
+        raise InvalidExport(f"{file}: holds a kernel for {made_on}; export the planner on this GPU.")
     try:
         solution = prototype(header["solution"], _CLASSES)
     except (KeyError, TypeError) as error:

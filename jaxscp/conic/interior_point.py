@@ -78,8 +78,8 @@ class InteriorPoint(eqx.Module):
     """Our own structured interior point; it runs under ``jit``, ``vmap`` and on any device.
 
     The Newton system is reduced to one block tridiagonal matrix (``kkt``), so that work and memory grow
-    linearly with the number of nodes. In float64 on a CPU the loop is the compiled one of ``conic.native``, where
-    that was built; elsewhere it is pure JAX. It has no derivative; ``ConicLayer`` has.
+    linearly with the number of nodes. In float64, on a CPU and on NVIDIA GPUs, the loop is the compiled one of
+    ``conic.native``, where that was built; elsewhere it is pure JAX. It has no derivative; ``ConicLayer`` has.
 
     Args:
         tolerance: relative gap and residuals at which a program counts as solved.

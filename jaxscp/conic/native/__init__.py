@@ -1,9 +1,17 @@
-"""The interior point's loop in C++, for float64 on a CPU: the same steps as ``interior_point``, to rounding.
+"""The interior point's loop in C++, for float64 on a CPU or an NVIDIA GPU: the same steps as ``interior_point``, to
+rounding.
 
 XLA runs a Newton step as hundreds of operations on arrays of a few kilobytes, and most of its time goes between them.
 Here a step is a few hundred thousand vector instructions on data that stay in the cache. The files, in the order in
-which they build on each other: ``pack.h`` (eight nodes of the chain in one register), ``elimination.h``, ``chain.h``,
-``program.h``, ``cones.h``, ``newton_system.h``, ``interior_point.h``, and ``handler.cc``, which XLA calls.
+which they build on each other:
+
+    pack.h layout.h arena.h    eight nodes of the chain in one register; what lies where
+    threads.h                  who does what: loops on a CPU, phases of a block of threads on a GPU
+    elimination.h, elimination_by_warp.h   one panel eliminated, on a CPU and on a GPU
+    program.h cones.h chain.h newton_system.h interior_point.h   the method, the same text on both
+    batch.h buffers.h          lanes of a batch, as XLA passes them
+    handler.cc                 what XLA calls on a CPU
+    kernel.cu gpu_handler.cc   the kernel, and what XLA calls to launch it; ``gpu.py`` compiles it
 
 The libraries are compiled when the package is installed, if there is a C++ compiler. Without them, on other devices,
 and in float32, the interior point runs as JAX.
@@ -24,6 +32,7 @@ from jaxscp.conic.program import StagedProgram
 from jaxscp.types import Scalar
 
 TARGET = "jaxscp_interior_point"
+TARGETS = (TARGET, gpu.TARGET)
 LEVELS = ("v4", "v3", "any")  # best first
 MAX_GROUPS, MAX_CONES = 8, 64  # of a node, as in ``layout.h``
 
@@ -74,6 +83,13 @@ def register(
     return True
 
 
+def runs_here() -> bool:
+    """Whether the loop was compiled for JAX's default device; makes it known to XLA."""
+    if jax.default_backend() == "cpu":
+        return available()
+    return gpu.capability() is not None and available_on_gpu()
+
+
 def serves(program: StagedProgram) -> bool:
     """Whether the compiled loop takes this program, on a CPU."""
     return _numbers_fit(program) and available()
@@ -81,7 +97,7 @@ def serves(program: StagedProgram) -> bool:
 
 def serves_on_gpu(program: StagedProgram) -> bool:
     """Whether the kernel takes this program, on the GPU that is JAX's default device."""
-    return _numbers_fit(program) and gpu.sizes_of(program).fit and gpu.available() and available_on_gpu()
+    return _numbers_fit(program) and gpu.sizes_of(program).fit and gpu.available() and runs_here()
 
 
 def _numbers_fit(program: StagedProgram) -> bool:

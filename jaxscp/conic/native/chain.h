@@ -39,7 +39,7 @@ class Chain {
   Pack* diagonal(int p) { return &blocks_[0].diagonal[p * program_.m * program_.m]; }
   Pack* above(int p) { return &blocks_[0].above[p * program_.m * program_.m]; }
 
-  JAXSCP_ONCE void factor() {
+  JAXSCP_CALLED void factor() {
     const int m = program_.m;
     for (int l = 0; l < last_; ++l) reduce(blocks_[l % 2], levels_[l], blocks_[(l + 1) % 2], levels_[l + 1].packs);
     share_among_teams(1, [&](int) {
@@ -53,7 +53,7 @@ class Chain {
   }
 
   template <int S>
-  JAXSCP_ONCE void solve() {
+  JAXSCP_CALLED void solve() {
     const int m = program_.m;
     for (int l = 0; l < last_; ++l) descend_to<S>(levels_[l], levels_[l + 1]);
     Level& one = levels_[last_];
@@ -84,7 +84,7 @@ class Chain {
     return p < packs ? v[p * size + entry] : all(beyond);
   }
 
-  JAXSCP_ONCE void reduce(Blocks from, const Level& level, Blocks to, int even_packs) {
+  JAXSCP_CALLED void reduce(Blocks from, const Level& level, Blocks to, int even_packs) {
     const int m = program_.m, size = m * m;
     share_among_teams(level.odd_packs, [&](int p) {
       Pack* panel = &level.panels[p * 3 * size];
@@ -117,7 +117,7 @@ class Chain {
   }
 
   template <int S>
-  JAXSCP_ONCE void descend_to(Level& from, Level& to) {
+  JAXSCP_CALLED void descend_to(Level& from, Level& to) {
     const int m = program_.m, width = m * kSides;
     auto given = [&](int q, int e) { return at(from.vector, from.packs, q, width, e); };
     share_among_teams(from.odd_packs, [&](int p) {
@@ -136,7 +136,7 @@ class Chain {
   }
 
   template <int S>
-  JAXSCP_ONCE void ascend_from(Level& level, Level& even) {
+  JAXSCP_CALLED void ascend_from(Level& level, Level& even) {
     const int m = program_.m, width = m * kSides;
     auto solved = [&](int q, int e) { return at(even.vector, even.packs, q, width, e); };
     share_among_teams(level.odd_packs, [&](int p) {

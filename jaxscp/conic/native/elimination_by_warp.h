@@ -24,7 +24,7 @@ inline double& entry(PanelShape<kSize, kRows>, double* panel, int i, int j) {
 }
 
 template <int kSize, int kRows>
-JAXSCP_ONCE void eliminate(PanelShape<kSize, kRows>, double* panel) {
+JAXSCP_CALLED void eliminate(PanelShape<kSize, kRows>, double* panel) {
   static_assert(kSize <= kWarp && 4 * kSize <= kPassed, "a lane for each leading row");
   constexpr int kHeld = (kRows + kWarp - 1) / kWarp;
   const int lane = lane_of_warp();
@@ -76,7 +76,7 @@ inline void add_products(double (&sums)[2], double a, double b) {
 #endif
 
 template <int kSize, int kRows>
-JAXSCP_ONCE void grams(PanelShape<kSize, kRows>, const double* panel, double* out) {
+JAXSCP_CALLED void grams(PanelShape<kSize, kRows>, const double* panel, double* out) {
   constexpr int kBelow = kRows - kSize, kHalf = kBelow / 2;
   constexpr int kTiles = (kBelow + 7) / 8, kSteps = (kSize + 3) / 4;
   const int lane = lane_of_warp(), row = lane / 4, column = lane % 4;
@@ -112,7 +112,7 @@ JAXSCP_ONCE void grams(PanelShape<kSize, kRows>, const double* panel, double* ou
 
 // out = M' v for the panel's rows from ``first`` to ``end``: four lanes a column. ``v`` begins at row ``first``.
 template <int S, int kSize, int kRows>
-JAXSCP_ONCE void times_transposed(const double* panel, int first, int end, const double* v, double* out) {
+JAXSCP_CALLED void times_transposed(const double* panel, int first, int end, const double* v, double* out) {
   const int lane = lane_of_warp(), quarter = lane % 4;
 #pragma unroll 1
   for (int j0 = 0; j0 < kSize; j0 += 8) {
@@ -133,7 +133,7 @@ JAXSCP_ONCE void times_transposed(const double* panel, int first, int end, const
 
 // out = M v for the panel's rows from ``first`` to ``end``: a lane a row.
 template <int S, int kSize, int kRows>
-JAXSCP_ONCE void times(const double* panel, int first, int end, const double* v, double* out) {
+JAXSCP_CALLED void times(const double* panel, int first, int end, const double* v, double* out) {
 #pragma unroll 1
   for (int i = first + lane_of_warp(); i < end; i += kWarp) {
     double sums[S] = {};
@@ -146,7 +146,7 @@ JAXSCP_ONCE void times(const double* panel, int first, int end, const double* v,
 }
 
 template <int S, int kSize, int kRows>
-JAXSCP_ONCE void descend(PanelShape<kSize, kRows>, const double* panel, const double* right, double* out) {
+JAXSCP_CALLED void descend(PanelShape<kSize, kRows>, const double* panel, const double* right, double* out) {
   double* solved = passed();
   times_transposed<S, kSize, kRows>(panel, 0, kSize, right, solved);
   in_team(kSize * S, [&](int i) { out[i] = solved[i]; });
@@ -154,7 +154,7 @@ JAXSCP_ONCE void descend(PanelShape<kSize, kRows>, const double* panel, const do
 }
 
 template <int S, int kSize, int kRows>
-JAXSCP_ONCE void ascend(PanelShape<kSize, kRows>, const double* panel, double* v) {
+JAXSCP_CALLED void ascend(PanelShape<kSize, kRows>, const double* panel, double* v) {
   double* left = passed();
   times_transposed<S, kSize, kRows>(panel, kSize, kRows, v + kSize * S, left);
   in_team(kSize * S, [&](int i) { left[i] = v[i] - left[i]; });

@@ -7,7 +7,7 @@ Without it, and on other GPUs, the interior point runs as JAX.
 import functools
 import hashlib
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -69,7 +69,7 @@ def capability() -> str | None:
 
 
 @functools.cache
-def compiler():
+def compiler() -> Any:
     """NVIDIA's run-time compiler, if it is installed."""
     try:
         from cuda.bindings import nvrtc
@@ -100,7 +100,7 @@ def kernel(sizes: Sizes, capability: str) -> bytes:
     ]
     source = (folder / "kernel.cu").read_bytes()
 
-    def checked(result, *values):
+    def checked(result: Any, *values: Any) -> Any:
         if int(result) != 0:
             raise RuntimeError(f"NVIDIA's compiler: {result}")
         return values[0] if values else None

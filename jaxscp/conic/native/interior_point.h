@@ -63,7 +63,7 @@ class InteriorPoint {
   }
 
   // The point that solves the program with its cones replaced by a least-squares penalty.
-  JAXSCP_ONCE void start() {
+  JAXSCP_CALLED void start() {
     const Program& g = program_;
     scaling_.set_unit();
     system_.factor(scaling_, settings_.regularisation);
@@ -82,7 +82,7 @@ class InteriorPoint {
   }
 
   // Move every cone's part at least one unit inside its cone.
-  JAXSCP_ONCE void lift_inside(Packs v) const {
+  JAXSCP_CALLED void lift_inside(Packs v) const {
     program_.each([&](int p, int i) { at(v, p)[i] = larger(at(v, p)[i], all(1.0)); },
                   [&](int p, int i, int d, int) {
                     Entries part = at(v, p) + i;
@@ -127,7 +127,7 @@ class InteriorPoint {
   }
 
   // Residuals reduced by ``part``, scaled complementarity moved by -target.
-  JAXSCP_ONCE void right_side(double part, Packs target) {
+  JAXSCP_CALLED void right_side(double part, Packs target) {
     const Residuals& r = residuals_;
     program_.each([&](int p, int i) { at(ry_, p)[i] = at(target, p)[i] / at(point_, p)[i]; },
                   [&](int p, int i, int d, int) {
@@ -139,7 +139,7 @@ class InteriorPoint {
   }
 
   // Add the multiple of the constant direction that the embedding's last equation asks for.
-  JAXSCP_ONCE void assemble(double part, double target_tau, Iterate& out) {
+  JAXSCP_CALLED void assemble(double part, double target_tau, Iterate& out) {
     const Program& g = program_;
     double defect = -part * residuals_.tau + target_tau / iterate_.tau - g.dot(gradient_, out.x, g.primal) -
                     g.dot(g.b, out.y, g.cone);
@@ -155,7 +155,7 @@ class InteriorPoint {
   }
 
   // Derivative of the embedding's last equation along the constant direction; always negative.
-  JAXSCP_ONCE double slope() {
+  JAXSCP_CALLED double slope() {
     const Program& g = program_;
     share(dual_.size, [&](int i) { dual_[i] = constant_.x[i] - xi_[i]; });
     g.times_hessian(dual_, hessian_x_);
@@ -163,7 +163,7 @@ class InteriorPoint {
     return -(g.dot(dual_, hessian_x_, g.primal) + g.dot(constant_.y, target_, g.cone) + iterate_.kappa / iterate_.tau);
   }
 
-  JAXSCP_ONCE void take(double length) {
+  JAXSCP_CALLED void take(double length) {
     const Iterate &old = iterate_, &d = direction_;
     double tau = old.tau + length * d.tau, kappa = old.kappa + length * d.kappa, unit = 1.0 / most(tau, kappa);
     once([&] { next_.tau = unit * tau, next_.kappa = unit * kappa; });
@@ -185,7 +185,7 @@ class InteriorPoint {
     });
   }
 
-  JAXSCP_ONCE void measure(const Iterate& v, Residuals& r) {
+  JAXSCP_CALLED void measure(const Iterate& v, Residuals& r) {
     const Program& g = program_;
     g.times_hessian(v.x, hessian_x_);
     g.times_constraints_transposed(v.y, dual_);
@@ -217,14 +217,14 @@ class InteriorPoint {
   }
 
   // a o b; zero on the zero cone
-  JAXSCP_ONCE void jordan(Packs a, Packs b, Packs out) const {
+  JAXSCP_CALLED void jordan(Packs a, Packs b, Packs out) const {
     program_.clear_zero_cone(out);
     program_.each([&](int p, int i) { at(out, p)[i] = at(a, p)[i] * at(b, p)[i]; },
                   [&](int p, int i, int d, int) { soc::product(at(a, p) + i, at(b, p) + i, d, at(out, p) + i); });
   }
 
   // Largest step, at most one, that keeps the iterate in its cone.
-  JAXSCP_ONCE double longest_step(const Iterate& from, const Iterate& along) const {
+  JAXSCP_CALLED double longest_step(const Iterate& from, const Iterate& along) const {
     const Program& g = program_;
     auto within = [&](Packs v, Packs d, double step) {
       return least_of(g.packs, g.r + g.cone_count, step, [&](int p, int k) {

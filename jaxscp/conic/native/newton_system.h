@@ -16,13 +16,13 @@ class Scaling {
       : w(arena.take(p.packs * p.cone.size)), eta(arena.take(p.packs * p.cone_count)), program_(p) {}
 
   // For slack and multiplier the identity of the cone.
-  JAXSCP_ONCE void set_unit() {
+  JAXSCP_CALLED void set_unit() {
     share(w.size, [&](int i) { w[i] = all(0.0); });
     share(eta.size, [&](int i) { eta[i] = all(1.0); });
     program_.each([&](int p, int i) { at(w, p)[i] = all(1.0); }, [&](int p, int i, int, int) { at(w, p)[i] = all(1.0); });
   }
 
-  JAXSCP_ONCE void set(Packs s, Packs y) {
+  JAXSCP_CALLED void set(Packs s, Packs y) {
     program_.each([&](int p, int i) { at(w, p)[i] = root(at(s, p)[i] / at(y, p)[i]); },
                   [&](int p, int i, int d, int c) {
                     soc::scaling(at(s, p) + i, at(y, p) + i, d, at(w, p) + i, eta.of(p, program_.cone_count)[c]);
@@ -30,21 +30,21 @@ class Scaling {
   }
 
   // out = W v, and zero on the zero cone
-  JAXSCP_ONCE void apply(Packs v, Packs out) const {
+  JAXSCP_CALLED void apply(Packs v, Packs out) const {
     program_.clear_zero_cone(out);
     program_.each([&](int p, int i) { at(out, p)[i] = at(w, p)[i] * at(v, p)[i]; },
                   [&](int p, int i, int d, int c) {
                     soc::scale(at(w, p) + i, eta_of(p, c), 1.0, at(v, p) + i, d, at(out, p) + i);
                   });
   }
-  JAXSCP_ONCE void apply_inverse(Packs v, Packs out) const {
+  JAXSCP_CALLED void apply_inverse(Packs v, Packs out) const {
     program_.clear_zero_cone(out);
     program_.each([&](int p, int i) { at(out, p)[i] = at(v, p)[i] / at(w, p)[i]; },
                   [&](int p, int i, int d, int c) {
                     soc::scale(at(w, p) + i, eta_of(p, c), -1.0, at(v, p) + i, d, at(out, p) + i);
                   });
   }
-  JAXSCP_ONCE void square(Packs v, Packs out) const {
+  JAXSCP_CALLED void square(Packs v, Packs out) const {
     program_.clear_zero_cone(out);
     program_.each([&](int p, int i) { at(out, p)[i] = at(w, p)[i] * at(w, p)[i] * at(v, p)[i]; },
                   [&](int p, int i, int d, int c) {
@@ -84,7 +84,7 @@ class NewtonSystem {
   };
 
   // Eliminate cones and nodes, and factor what remains in the link multipliers.
-  JAXSCP_ONCE void factor(const Scaling& scaling, double regularisation) {
+  JAXSCP_CALLED void factor(const Scaling& scaling, double regularisation) {
     const Program& g = program_;
     const int n = g.n, m = g.m;
     share_among_teams(chain_.packs(), [&](int p) {
@@ -111,7 +111,7 @@ class NewtonSystem {
   // Solve [P A'; A -W^2] (x, y) = (rx, ry) for S sides at once. Refinement is against this full system: it brings
   // back the digits that eliminating cones near their boundary loses.
   template <int S>
-  JAXSCP_ONCE void solve(const Scaling& scaling, int refinements, const Side (&sides)[S]) {
+  JAXSCP_CALLED void solve(const Scaling& scaling, int refinements, const Side (&sides)[S]) {
     solve_once<S>(scaling, sides);
     for (int round = 0; round < refinements; ++round) {
       Side lacks[S];
@@ -201,7 +201,7 @@ class NewtonSystem {
   }
 
   template <int S>
-  JAXSCP_ONCE void solve_once(const Scaling& w, const Side (&sides)[S]) {
+  JAXSCP_CALLED void solve_once(const Scaling& w, const Side (&sides)[S]) {
     const Program& g = program_;
     const int n = g.n, m = g.m;
     for (int s = 0; s < S; ++s) reduce(w, sides[s], S, s);
@@ -233,7 +233,7 @@ class NewtonSystem {
   }
 
   // The right side of the nodes' variables, cones and bounds eliminated, into ``right_``.
-  JAXSCP_ONCE void reduce(const Scaling& scaling, const Side& side, int S, int s) {
+  JAXSCP_CALLED void reduce(const Scaling& scaling, const Side& side, int S, int s) {
     const Program& g = program_;
     const int n = g.n;
     share(g.packs, g.r + g.user_cones + g.has_norm, [&](int p, int k) {
@@ -270,7 +270,7 @@ class NewtonSystem {
   }
 
   // Everything that was eliminated, from the nodes' variables and the multipliers of the links in ``below_``.
-  JAXSCP_ONCE void conclude(const Scaling& scaling, const Side& side, int S, int s) {
+  JAXSCP_CALLED void conclude(const Scaling& scaling, const Side& side, int S, int s) {
     const Program& g = program_;
     const int n = g.n, m = g.m;
     auto solved = [&](int p, int row) { return below_[p * rows_ * kSides + row * S + s]; };

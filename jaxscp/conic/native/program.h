@@ -20,7 +20,7 @@ struct Given {
 };
 
 // Takes entries of ``size`` numbers at each of the first ``count`` places into packs, ``stride`` packs an entry apart.
-JAXSCP_ONCE inline void gather(const double* from, int count, int size, Packs to, int offset, int stride, double beyond = 0.0) {
+JAXSCP_CALLED inline void gather(const double* from, int count, int size, Packs to, int offset, int stride, double beyond = 0.0) {
   share(to.size / stride, size, [&](int p, int i) {
     for (int lane = 0; lane < kWidth; ++lane) {
       int k = p * kWidth + lane;
@@ -29,7 +29,7 @@ JAXSCP_ONCE inline void gather(const double* from, int count, int size, Packs to
   });
 }
 
-JAXSCP_ONCE inline void scatter(Packs from, int offset, int stride, int count, int size, double* to) {
+JAXSCP_CALLED inline void scatter(Packs from, int offset, int stride, int count, int size, double* to) {
   share(count, size, [&](int k, int i) {
     to[k * size + i] = get(from.of(k / kWidth, stride)[offset + i], k % kWidth);
   });
@@ -132,7 +132,7 @@ class Program : public ProgramLayout {
         rows(r, n, packs, arena), user(u, n, packs, arena), soft(arena.take(packs * m)), scale(arena.take(packs * n)),
         q(arena.take(packs * primal.size)), b(arena.take(packs * cone.size)), carry_(arena.take(packs * m)) {}
 
-  JAXSCP_ONCE void read(const Given& g) {
+  JAXSCP_CALLED void read(const Given& g) {
     auto matrix = [](const double* from, int rows, int columns) {
       return [=](int k, int i, int j) { return from[(static_cast<long long>(k) * rows + i) * columns + j]; };
     };
@@ -180,14 +180,14 @@ class Program : public ProgramLayout {
   Entries of_cones(Packs v, int p) const { return v.of(p, cone.size); }
 
   // P x.
-  JAXSCP_ONCE void times_hessian(Packs x, Packs out) const {
+  JAXSCP_CALLED void times_hessian(Packs x, Packs out) const {
     share(packs, primal.size, [&](int p, int i) {
       of_primal(out, p)[i] = i < n ? hessian.times(p, i, of_primal(x, p)) : all(0.0);
     });
   }
 
   // A x.
-  JAXSCP_ONCE void times_constraints(Packs x, Packs out) const {
+  JAXSCP_CALLED void times_constraints(Packs x, Packs out) const {
     share(packs, m, [&](int p, int i) { carry_.of(p, m)[i] = of_nodes(p, before.times(p, i, of_primal(x, p))); });
     share(packs, r + u, [&](int p, int i) {
       Entries v = of_primal(x, p);
@@ -216,7 +216,7 @@ class Program : public ProgramLayout {
   }
 
   // A' y.
-  JAXSCP_ONCE void times_constraints_transposed(Packs y, Packs out) const {
+  JAXSCP_CALLED void times_constraints_transposed(Packs y, Packs out) const {
     share(packs, m, [&](int p, int i) { carry_.of(p, m)[i] = link_multiplier(y, p, i); });
     share(packs, primal.size, [&](int p, int j) {
       Entries v = of_cones(y, p), o = of_primal(out, p), link = carry_.of(p, m), next = carry_.of(p + 1, m);
@@ -242,7 +242,7 @@ class Program : public ProgramLayout {
     });
   }
 
-  JAXSCP_ONCE void clear_zero_cone(Packs v) const {
+  JAXSCP_CALLED void clear_zero_cone(Packs v) const {
     share(packs, m, [&](int p, int i) { of_cones(v, p)[zero + i] = all(0.0); });
   }
 
@@ -251,14 +251,14 @@ class Program : public ProgramLayout {
   Pack of_links(int p, Pack v) const { return where(within(p, nodes + 1), v, all(0.0)); }
   Pack of_places(int p, int i, Shape shape, Pack v) const { return i < shape.of_node ? of_nodes(p, v) : of_links(p, v); }
 
-  JAXSCP_ONCE double dot(Packs a, Packs b, Shape shape) const {
+  JAXSCP_CALLED double dot(Packs a, Packs b, Shape shape) const {
     return sum_of(packs, shape.size, [&](int p, int i) {
       return of_places(p, i, shape, a.of(p, shape.size)[i] * b.of(p, shape.size)[i]);
     });
   }
 
   // The largest entry without its sign.
-  JAXSCP_ONCE double largest_of(Packs a, Shape shape) const {
+  JAXSCP_CALLED double largest_of(Packs a, Shape shape) const {
     return jaxscp::largest_of(packs, shape.size, [&](int p, int i) {
       return of_places(p, i, shape, magnitude(a.of(p, shape.size)[i]));
     });

@@ -8,7 +8,8 @@ namespace jaxscp {
 
 #if defined(__CUDACC__)
 
-#define JAXSCP_ONCE __noinline__  // compiled once, not where it is called: a kernel must fit the instruction cache
+// A function that is called, not copied to where it is used: a kernel of copies outgrows the instruction cache.
+#define JAXSCP_CALLED __noinline__
 
 constexpr int kWarp = 32;
 constexpr int kThreads = JAXSCP_THREADS;  // of a block
@@ -84,7 +85,7 @@ inline double fold(int packs, int count, double first, Join join, Value value) {
 
 #else
 
-#define JAXSCP_ONCE
+#define JAXSCP_CALLED
 
 template <typename Act>
 inline void share(int count, Act act) {

@@ -1,0 +1,96 @@
+"""The GPU's kernel without a GPU: run on a CPU by threads that take turns, and compiled by NVIDIA's compiler."""
+
+import ctypes
+import shutil
+import subprocess
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxscp.conic import native
+from jaxscp.conic.equilibrate import equilibrate
+from jaxscp.conic.examples import random_program
+from jaxscp.conic.interior_point import InteriorPoint
+from jaxscp.conic.native import gpu
+
+COMPILER = shutil.which("g++")
+needs_compiler = pytest.mark.skipif(
+    COMPILER is None or not native.available(), reason="no g++ to compile the kernel for this machine"
+)
+ROUNDING = 1e-9  # relative, as for the loop for CPUs
+STEPS = 4
+THREADS = 64  # of the emulated block: two warps, which wait for each other
+
+SHAPES = {
+    "norm cost": {"nodes": 5, "variables": 6, "rows": 3, "cones": 2},
+    "quadratic cost, no cones": {"nodes": 4, "cones": 0, "norm": False},
+    "more rows than lanes": {"nodes": 2, "variables": 20, "rows": 2},
+}
+
+
+def emulated(program, folder: Path) -> ctypes.CDLL:
+    """The kernel for a program's sizes, as a handler for CPUs."""
+    headers = jax.ffi.include_dir()
+    library = folder / "kernel.so"
+    source = Path(__file__).with_name("gpu_on_a_cpu.cc")
+    flags = ["-std=c++20", "-O1", "-fno-math-errno", "-fPIC", "-w", "-shared"]
+    flags += [
+        "-fno-gnu-unique"
+    ]  # else one process has what a block shares only once, for kernels of all sizes
+    defined = [f"-DJAXSCP_SIZES={gpu.sizes_of(program)}", f"-DJAXSCP_THREADS={THREADS}"]
+    found = ["-isystem", headers, "-I", str(Path(native.__file__).parent)]
+    subprocess.run([COMPILER, *flags, *defined, *found, str(source), "-o", str(library)], check=True)
+    return ctypes.CDLL(str(library))
+
+
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param(sizes, id=name, marks=[pytest.mark.slow] if i else [])
+        for i, (name, sizes) in enumerate(SHAPES.items())
+    ],
+)
+def kernel(request, tmp_path_factory):
+    """Programs of one shape, and the name of the kernel that takes them."""
+    programs = [random_program(seed, **request.param) for seed in range(3)]
+    name = f"jaxscp_test_kernel_{abs(hash(str(request.param)))}"
+    assert native.register(emulated(programs[0], tmp_path_factory.mktemp("kernel")), name)
+    return programs, name
+
+
+def iterate(solver, programs):
+    return eqx.filter_jit(jax.vmap(lambda p: solver.iterate(*equilibrate(p))))(programs)
+
+
+@needs_compiler
+def test_steps_are_those_of_jax_and_lanes_do_not_touch(kernel, monkeypatch):
+    programs, name = kernel
+    poisoned = eqx.tree_at(lambda p: p.gradient, programs[1], programs[1].gradient * jnp.nan)
+    batch = jax.tree.map(lambda *v: jnp.stack(v), programs[0], poisoned, programs[2])
+    expected = iterate(InteriorPoint(max_iterations=STEPS, compiled=False), batch)
+    monkeypatch.setattr(native, "TARGET", name)
+    found = iterate(InteriorPoint(max_iterations=STEPS), batch)
+    assert found.broken.tolist() == [False, True, False]
+    np.testing.assert_array_equal(found.iterations, expected.iterations)
+    for ours, jaxs in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+        for lane in (0, 2):
+            size = max(1.0, float(jnp.max(jnp.abs(jaxs[lane]), initial=0.0)))
+            np.testing.assert_allclose(ours[lane], jaxs[lane], rtol=0, atol=ROUNDING * size)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(gpu.compiler() is None, reason="needs NVIDIA's run-time compiler (extra cuda)")
+@pytest.mark.parametrize("capability", ["80", "90"])
+def test_kernel_compiles(capability):
+    image = gpu.kernel(gpu.sizes_of(random_program(0)), capability)
+    assert image.startswith(b"\x7fELF")
+
+
+def test_sizes_that_a_warp_cannot_hold_are_left_to_jax():
+    assert gpu.sizes_of(random_program(0, variables=20)).fit
+    assert not gpu.sizes_of(random_program(0, variables=34)).fit
+    assert not native.serves_on_gpu(random_program(0))  # JAX runs on a CPU here
