@@ -38,9 +38,8 @@ def emulated(program, folder: Path) -> ctypes.CDLL:
     library = folder / "kernel.so"
     source = Path(__file__).with_name("gpu_on_a_cpu.cc")
     flags = ["-std=c++20", "-O1", "-fno-math-errno", "-fPIC", "-w", "-shared"]
-    flags += [
-        "-fno-gnu-unique"
-    ]  # else one process has what a block shares only once, for kernels of all sizes
+    # else a process has only once what a block shares, for kernels of all sizes
+    flags += ["-fno-gnu-unique"]
     defined = [f"-DJAXSCP_SIZES={gpu.sizes_of(program)}", f"-DJAXSCP_THREADS={THREADS}"]
     found = ["-isystem", headers, "-I", str(Path(native.__file__).parent)]
     subprocess.run([COMPILER, *flags, *defined, *found, str(source), "-o", str(library)], check=True)

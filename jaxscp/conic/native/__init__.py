@@ -55,7 +55,8 @@ def level() -> str | None:
 def available_on_gpu() -> bool:
     """Whether what launches the kernel was compiled for this machine; makes it known to XLA."""
     name = level()
-    return name is not None and register(library(name), gpu.TARGET, "jaxscp_interior_point_on_gpu", "CUDA")
+    found = library(name) if name else None
+    return found is not None and register(found, gpu.TARGET, "jaxscp_interior_point_on_gpu", "CUDA")
 
 
 def library(level: str) -> ctypes.CDLL | None:

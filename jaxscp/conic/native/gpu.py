@@ -6,6 +6,7 @@ Without it, and on other GPUs, the interior point runs as JAX.
 
 import functools
 import hashlib
+import importlib
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -72,8 +73,7 @@ def capability() -> str | None:
 def compiler() -> Any:
     """NVIDIA's run-time compiler, if it is installed."""
     try:
-        from cuda.bindings import nvrtc
-
+        nvrtc = importlib.import_module("cuda.bindings.nvrtc")
         nvrtc.nvrtcVersion()
     except (ImportError, RuntimeError, OSError):
         return None
