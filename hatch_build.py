@@ -1,4 +1,4 @@
-"""Compiles the interior point's loop for CPUs, where there is a C++ compiler; without one the package does without."""
+"""Compiles the interior point's loop for CPUs, and what launches its kernel on GPUs, where there is a C++ compiler."""
 
 import importlib.util
 import os

@@ -22,7 +22,7 @@ from jaxscp.caching import without_cache
 from jaxscp.conic import native
 from jaxscp.structure import describe
 
-FORMAT = 2
+FORMAT = 3
 PROGRAMS = ("setup", "solve")
 
 
@@ -52,21 +52,22 @@ def write(file: str | os.PathLike, plan: Plan) -> None:
         "results": {"setup": len(plan.solve.shapes), "solve": len(jax.tree.leaves(plan.solution))},
         "platform": jax.default_backend(),
         "machine": machine(),
-        "native": native.runs_here(),
+        "native": False,
     }
     target = pathlib.Path(file)
     partial = target.with_name(f"{target.name}.{os.getpid()}.partial")
     try:
         with zipfile.ZipFile(partial, "w") as archive:
-            archive.writestr("header.json", json.dumps(header))
             for name in PROGRAMS:
                 program: Program = getattr(plan, name)
                 checks = [export.DisabledSafetyCheck.custom_call(target) for target in native.TARGETS]
                 portable = export.export(program.function, disabled_checks=checks)(*program.shapes)
+                header["native"] |= any(target in portable.mlir_module() for target in native.TARGETS)
                 archive.writestr(f"{name}.stablehlo", bytes(portable.serialize()), zipfile.ZIP_DEFLATED)
                 with without_cache():
                     executable, _, _ = serialize_executable.serialize(program.compiled())
                 archive.writestr(f"{name}.executable", executable)
+            archive.writestr("header.json", json.dumps(header))
         partial.replace(target)
     finally:
         partial.unlink(missing_ok=True)

@@ -24,7 +24,8 @@ def load(file: str | os.PathLike, *, compile: bool = True) -> CompiledPlanner:
     The file holds machine code, which a call runs: load none that you would not run as a program. The code is used
     where jax, jaxlib, device and the processor's instruction sets are those that it was made with, and the answers are
     then bitwise those of the planner. Elsewhere the portable form in the file is compiled (``jaxscp.use_cache`` keeps
-    what comes of it). A planner that was exported with the compiled interior point needs it where it is loaded.
+    what comes of it). A planner that was exported with the compiled interior point needs it where it is loaded, and
+    on a GPU one of the same model.
 
     Args:
         file: its name.
@@ -43,13 +44,13 @@ def load(file: str | os.PathLike, *, compile: bool = True) -> CompiledPlanner:
             f"{file}: exported for {header['platform']}, but JAX runs on {jax.default_backend()}. Export it there, or "
             f"set JAX_PLATFORMS={header['platform']}."
         )
+    made_on = header["machine"].get("device")
+    if header["native"] and header["platform"] == "gpu" and made_on != jax.devices()[0].device_kind:
+        raise InvalidExport(f"{file}: holds a kernel for {made_on}; export the planner on this GPU.")
     if header["native"] and not native.runs_here():
         raise InvalidExport(
             f"{file}: calls the compiled interior point, which is not here; install jaxscp again with a C++ compiler."
         )
-    made_on = header["machine"].get("device")
-    if header["native"] and header["platform"] == "gpu" and made_on != jax.devices()[0].device_kind:
-        raise InvalidExport(f"{file}: holds a kernel for {made_on}; export the planner on this GPU.")
     try:
         solution = prototype(header["solution"], _CLASSES)
     except (KeyError, TypeError) as error:

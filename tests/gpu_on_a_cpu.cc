@@ -138,8 +138,8 @@ void add_products(double (&sums)[2], double a, double b) {
 static xla::ffi::Error solve(xla::ffi::RemainingArgs args, xla::ffi::RemainingRets rets, xla::ffi::Dictionary attrs) {
   auto found = jaxscp::shaped(args, rets, attrs);
   if (!found.has_value()) return found.error();
-  long long numbers = 0;
-  jaxscp_room(&numbers);
+  long long found_room[3], &numbers = found_room[0];
+  jaxscp_room(found_room);
   std::vector<double> room(numbers, std::nan(""));
   unsigned long long taken = 0;
   emulated::run(jaxscp::kThreads, [&] { jaxscp_solve(found->batch, room.data(), numbers, &taken); });

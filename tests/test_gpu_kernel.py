@@ -1,4 +1,7 @@
-"""The GPU's kernel without a GPU: run on a CPU by threads that take turns, and compiled by NVIDIA's compiler."""
+"""The GPU's kernel without a GPU: run on a CPU by threads that take turns, and compiled by NVIDIA's compiler.
+
+Its steps are compared with those of the loop for CPUs, which ``test_native`` compares with JAX.
+"""
 
 import ctypes
 import shutil
@@ -66,27 +69,34 @@ def iterate(solver, programs):
 
 
 @needs_compiler
-def test_steps_are_those_of_jax_and_lanes_do_not_touch(kernel, monkeypatch):
+def test_steps_are_the_same_and_lanes_do_not_touch(kernel, monkeypatch):
     programs, name = kernel
     poisoned = eqx.tree_at(lambda p: p.gradient, programs[1], programs[1].gradient * jnp.nan)
     batch = jax.tree.map(lambda *v: jnp.stack(v), programs[0], poisoned, programs[2])
-    expected = iterate(InteriorPoint(max_iterations=STEPS, compiled=False), batch)
+    expected = iterate(InteriorPoint(max_iterations=STEPS), batch)
     monkeypatch.setattr(native, "TARGET", name)
     found = iterate(InteriorPoint(max_iterations=STEPS), batch)
     assert found.broken.tolist() == [False, True, False]
     np.testing.assert_array_equal(found.iterations, expected.iterations)
-    for ours, jaxs in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+    for ours, theirs in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
         for lane in (0, 2):
-            size = max(1.0, float(jnp.max(jnp.abs(jaxs[lane]), initial=0.0)))
-            np.testing.assert_allclose(ours[lane], jaxs[lane], rtol=0, atol=ROUNDING * size)
+            size = max(1.0, float(jnp.max(jnp.abs(theirs[lane]), initial=0.0)))
+            np.testing.assert_allclose(ours[lane], theirs[lane], rtol=0, atol=ROUNDING * size)
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(gpu.compiler() is None, reason="needs NVIDIA's run-time compiler (extra cuda)")
 @pytest.mark.parametrize("capability", ["80", "90"])
 def test_kernel_compiles(capability):
-    image = gpu.kernel(gpu.sizes_of(random_program(0)), capability)
+    image = gpu.kernel(gpu.sizes_of(random_program(0)), capability, gpu.THREADS, gpu.BLOCKS)
+    assert image is not None
     assert image.startswith(b"\x7fELF")
+
+
+@pytest.mark.skipif(gpu.compiler() is None, reason="needs NVIDIA's run-time compiler (extra cuda)")
+def test_a_gpu_that_the_compiler_does_not_know_is_left_to_jax():
+    with pytest.warns(UserWarning, match="runs as JAX"):
+        assert gpu.kernel(gpu.sizes_of(random_program(0)), "999", gpu.THREADS, gpu.BLOCKS) is None
 
 
 def test_sizes_that_a_warp_cannot_hold_are_left_to_jax():

@@ -50,6 +50,16 @@ def test_steps_are_the_same_to_rounding(shape):
     assert_same([jaxs.error, jaxs.infeasibility], [ours.error, ours.infeasibility], ROUNDING)
 
 
+def test_many_groups_of_cones():
+    """A gate is a group of its own, and a plan may have many: as good as one group of all."""
+    program = random_program(1)
+    many = eqx.tree_at(lambda p: p.cones, program, program.cones * 9)
+    joined = jax.tree.map(lambda v: jnp.concatenate([v] * 9, axis=1), program.cones)
+    one = eqx.tree_at(lambda p: p.cones, program, joined)
+    assert native.serves(many)
+    assert_same(*(iterate(InteriorPoint(max_iterations=STEPS), p).iterate.x for p in (many, one)), ROUNDING)
+
+
 @pytest.fixture(scope="module")
 def both():
     return tuple(eqx.filter_jit(InteriorPoint(compiled=compiled)) for compiled in (True, False))

@@ -34,7 +34,7 @@ from jaxscp.types import Scalar
 TARGET = "jaxscp_interior_point"
 TARGETS = (TARGET, gpu.TARGET)
 LEVELS = ("v4", "v3", "any")  # best first
-MAX_GROUPS, MAX_CONES = 8, 64  # of a node, as in ``layout.h``
+MAX_GROUPS, MAX_CONES = 32, 256  # of a node, as in ``layout.h``
 
 
 def available() -> bool:
@@ -85,7 +85,7 @@ def register(
 
 
 def runs_here() -> bool:
-    """Whether the loop was compiled for JAX's default device; makes it known to XLA."""
+    """Whether what XLA calls on JAX's default device was compiled; makes it known to XLA."""
     if jax.default_backend() == "cpu":
         return available()
     return gpu.capability() is not None and available_on_gpu()
@@ -98,13 +98,13 @@ def serves(program: StagedProgram) -> bool:
 
 def serves_on_gpu(program: StagedProgram) -> bool:
     """Whether the kernel takes this program, on the GPU that is JAX's default device."""
-    return _numbers_fit(program) and gpu.sizes_of(program).fit and gpu.available() and runs_here()
+    return _numbers_fit(program) and gpu.available() and runs_here() and gpu.serves(program)
 
 
 def _numbers_fit(program: StagedProgram) -> bool:
     cones = [c.offset.shape[1] for c in program.cones]
     few = len(cones) <= MAX_GROUPS and sum(cones) + 2 <= MAX_CONES
-    return program.gradient.dtype == jnp.float64 and few
+    return program.gradient.dtype == jnp.float64 and few and program.links.soft.shape[1] > 0
 
 
 def call(program: StagedProgram, cost: Scalar, **settings: float | int):
@@ -124,10 +124,7 @@ def call(program: StagedProgram, cost: Scalar, **settings: float | int):
 
 def call_on_gpu(program: StagedProgram, cost: Scalar, **settings: float | int):
     """Solve an equilibrated program on the GPU that is JAX's default device; see ``call``."""
-    capability = gpu.capability()
-    if capability is None:
-        raise RuntimeError("jaxscp: no GPU that the interior point's kernel runs on")
-    return _call(gpu.TARGET, program, cost, settings | gpu.attributes(program, capability))
+    return _call(gpu.TARGET, program, cost, settings | gpu.attributes(program))
 
 
 def _call(target: str, program: StagedProgram, cost: Scalar, attributes: dict):

@@ -14,6 +14,9 @@ struct Lanes {
 using Input = Lanes<const double>;
 using Output = Lanes<double>;
 
+// Of what a handler passes to a kernel: to be raised with every change of ``Batch``, as either may be of another time.
+constexpr long long kVersion = 1;
+
 struct Batch {
   long long lanes;
   Settings settings;

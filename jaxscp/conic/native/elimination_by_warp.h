@@ -1,7 +1,7 @@
 // What ``elimination.h`` does, by the lanes of a warp together.
 //
-// A panel is held by columns. Lane i has row i in its registers while the columns are eliminated one after another, and
-// rows 32 + i and so on if there are more. The leading rows end as L'^-1 in place of L, so that solutions are products.
+// A panel is held by columns. Lane i has row i while the columns are eliminated one after another, and rows 32 + i and
+// so on if there are more, in its registers as far as there are enough. The leading rows end as L'^-1 in place of L, so that solutions are products.
 #pragma once
 
 #include "layout.h"
@@ -69,7 +69,7 @@ JAXSCP_CALLED void eliminate(PanelShape<kSize, kRows>, double* panel) {
 void add_products(double (&sums)[2], double a, double b);
 #else
 inline void add_products(double (&sums)[2], double a, double b) {
-  asm("mma.sync.aligned.m8n8k4.row.col.f64.f64.f64.f64 {%0, %1}, {%2}, {%3}, {%0, %1};"
+  asm volatile("mma.sync.aligned.m8n8k4.row.col.f64.f64.f64.f64 {%0, %1}, {%2}, {%3}, {%0, %1};"
       : "+d"(sums[0]), "+d"(sums[1])
       : "d"(a), "d"(b));
 }
@@ -81,6 +81,7 @@ JAXSCP_CALLED void grams(PanelShape<kSize, kRows>, const double* panel, double* 
   constexpr int kTiles = (kBelow + 7) / 8, kSteps = (kSize + 3) / 4;
   const int lane = lane_of_warp(), row = lane / 4, column = lane % 4;
   double sums[kTiles * (kTiles + 1) / 2][2] = {};
+  __syncwarp();  // tensor cores take a whole warp
 #pragma unroll
   for (int k = 0; k < kSteps; ++k) {
     double part[kTiles];

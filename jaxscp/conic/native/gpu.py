@@ -1,12 +1,13 @@
 """The kernel of the interior point for NVIDIA GPUs: ``kernel.cu``, compiled for a program's sizes when it is needed.
 
-NVIDIA's run-time compiler makes it from the same headers as the loop for CPUs; the extra ``cuda`` has what that takes.
-Without it, and on other GPUs, the interior point runs as JAX.
+NVIDIA's run-time compiler, in the extra ``cuda``, makes it from the same headers as the loop for CPUs; what launches it
+is compiled with that loop. Without either, and on other GPUs, the interior point runs as JAX.
 """
 
 import functools
 import hashlib
 import importlib
+import warnings
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,7 +21,7 @@ OLDEST = (8, 0)  # compute capability: the first whose tensor cores add float64
 THREADS = 256  # that solve a program together
 BLOCKS = 3  # programs that a multiprocessor has at once
 WARP = 32
-LARGEST = 96  # float64 numbers of a panel that a thread has in its registers
+LARGEST = 96  # float64 numbers of a panel that a thread holds
 
 
 class Sizes(NamedTuple):
@@ -41,7 +42,7 @@ class Sizes(NamedTuple):
 
     @property
     def fit(self) -> bool:
-        """Whether a warp can eliminate the nodes and links: a lane has a row, or two or three, in its registers."""
+        """Whether a warp can eliminate the nodes and links: a lane holds a row of each, or two or three."""
         held = lambda rows: -(-rows // WARP)  # noqa: E731
         node = held(self.variables + 2 * self.link_rows) * self.variables
         link = held(3 * self.link_rows) * self.link_rows
@@ -56,16 +57,23 @@ def sizes_of(program: StagedProgram) -> Sizes:
 
 
 def available() -> bool:
-    """Whether JAX's default device is a GPU that the kernel can be compiled for."""
+    """Whether JAX runs on GPUs that the kernel can be compiled for."""
     return capability() is not None and compiler() is not None
 
 
+def serves(program: StagedProgram) -> bool:
+    """Whether there is a kernel for this program; made if need be."""
+    return sizes_of(program).fit and _kernel(program) is not None
+
+
 def capability() -> str | None:
-    """Compute capability of JAX's default device, ``"90"`` say, if it is a GPU with what the kernel needs."""
-    found = getattr(jax.devices()[0], "compute_capability", None) if jax.default_backend() == "gpu" else None
-    if found is None or not all(part.isdecimal() for part in found.split(".")):
+    """Compute capability of this process's GPUs, ``"90"`` say, if they have what the kernel needs and are alike."""
+    if jax.default_backend() != "gpu":
         return None
-    number = tuple(map(int, found.split(".")))
+    found = {getattr(device, "compute_capability", "") for device in jax.local_devices()}
+    if len(found) != 1 or not all(part.isdecimal() for part in min(found).split(".")):
+        return None
+    number = tuple(map(int, min(found).split(".")))
     return "".join(map(str, number)) if number >= OLDEST else None
 
 
@@ -80,13 +88,14 @@ def compiler() -> Any:
     return nvrtc
 
 
-@functools.cache
-def kernel(sizes: Sizes, capability: str) -> bytes:
-    """The kernel for programs of these sizes, as the GPU's machine code.
+def _kernel(program: StagedProgram) -> bytes | None:
+    here = capability()
+    return kernel(sizes_of(program), here, THREADS, BLOCKS) if here else None
 
-    Raises:
-        RuntimeError: with the compiler's words, if it does not compile.
-    """
+
+@functools.cache
+def kernel(sizes: Sizes, capability: str, threads: int, blocks: int) -> bytes | None:
+    """The kernel for programs of these sizes, as machine code of the GPU; None and a warning if it does not compile."""
     nvrtc = compiler()
     folder = Path(__file__).parent
     options = [
@@ -95,8 +104,8 @@ def kernel(sizes: Sizes, capability: str) -> bytes:
         "--device-as-default-execution-space",
         f"--include-path={folder}",
         f"-DJAXSCP_SIZES={sizes}",
-        f"-DJAXSCP_THREADS={THREADS}",
-        f"-DJAXSCP_BLOCKS={BLOCKS}",
+        f"-DJAXSCP_THREADS={threads}",
+        f"-DJAXSCP_BLOCKS={blocks}",
     ]
     source = (folder / "kernel.cu").read_bytes()
 
@@ -106,20 +115,29 @@ def kernel(sizes: Sizes, capability: str) -> bytes:
         return values[0] if values else None
 
     program = checked(*nvrtc.nvrtcCreateProgram(source, b"kernel.cu", 0, [], []))
-    (result,) = nvrtc.nvrtcCompileProgram(program, len(options), [option.encode() for option in options])
-    if int(result) != 0:
-        log = bytearray(checked(*nvrtc.nvrtcGetProgramLogSize(program)))
-        checked(*nvrtc.nvrtcGetProgramLog(program, log))
-        raise RuntimeError(f"the interior point's kernel does not compile: {log.decode()}")
-    image = bytearray(checked(*nvrtc.nvrtcGetCUBINSize(program)))
-    checked(*nvrtc.nvrtcGetCUBIN(program, image))
-    checked(*nvrtc.nvrtcDestroyProgram(program))
+    try:
+        (result,) = nvrtc.nvrtcCompileProgram(program, len(options), [option.encode() for option in options])
+        if int(result) != 0:
+            log = bytearray(checked(*nvrtc.nvrtcGetProgramLogSize(program)))
+            checked(*nvrtc.nvrtcGetProgramLog(program, log))
+            said = log.decode(errors="replace").strip("\0\n ")
+            message = (
+                f"jaxscp: the interior point's kernel does not compile, and it runs as JAX ({result}: {said})"
+            )
+            warnings.warn(message, stacklevel=2)
+            return None
+        image = bytearray(checked(*nvrtc.nvrtcGetCUBINSize(program)))
+        checked(*nvrtc.nvrtcGetCUBIN(program, image))
+    finally:
+        checked(*nvrtc.nvrtcDestroyProgram(program))
     return bytes(image)
 
 
-def attributes(program: StagedProgram, capability: str) -> dict:
+def attributes(program: StagedProgram) -> dict:
     """What a call carries with it for the kernel's sake."""
-    image = kernel(sizes_of(program), capability)
+    image = _kernel(program)
+    if image is None:
+        raise RuntimeError("jaxscp: no GPU here that the interior point's kernel runs on")
     name = hashlib.sha256(image).hexdigest()
     numbers = {"blocks": np.int64(BLOCKS), "threads": np.int64(THREADS)}
     return {"image": np.frombuffer(image, np.uint8), "name": name, **numbers}

@@ -57,6 +57,7 @@ struct Driver {
 };
 
 constexpr int kMultiprocessors = 16;  // CU_DEVICE_ATTRIBUTE_MULTIPROCESSOR_COUNT
+constexpr int kOutOfMemory = 2;       // CUDA_ERROR_OUT_OF_MEMORY
 
 // The first failure of the driver, with what was tried.
 struct Failure {
@@ -77,6 +78,7 @@ struct Failure {
 struct Loaded {
   CUfunction solve = nullptr;
   long long room = 0;  // numbers that a program and its solver take
+  long long version = 0, batch = 0;  // as ``jaxscp_room`` says
   int multiprocessors = 0;
 };
 
@@ -87,14 +89,16 @@ Loaded load(const Driver& cuda, ffi::Span<const uint8_t> image, CUstream stream,
   int device = 0;
   auto number = reinterpret_cast<unsigned long long>(scratch);
   void* arguments[] = {&scratch};
+  long long said[3] = {};
   failure(cuda.cuModuleLoadData(&module, image.begin()), "loading it") &&
       failure(cuda.cuModuleGetFunction(&loaded.solve, module, "jaxscp_solve"), "finding it") &&
       failure(cuda.cuModuleGetFunction(&room, module, "jaxscp_room"), "finding it") &&
       failure(cuda.cuCtxGetDevice(&device), "finding the device") &&
       failure(cuda.cuDeviceGetAttribute(&loaded.multiprocessors, kMultiprocessors, device), "asking the device") &&
       failure(cuda.cuLaunchKernel(room, 1, 1, 1, 1, 1, 1, 0, stream, arguments, nullptr), "launching it") &&
-      failure(cuda.cuMemcpyDtoHAsync_v2(&loaded.room, number, sizeof(loaded.room), stream), "asking for its room") &&
+      failure(cuda.cuMemcpyDtoHAsync_v2(said, number, sizeof(said), stream), "asking for its room") &&
       failure(cuda.cuStreamSynchronize(stream), "asking for its room");
+  loaded.room = said[0], loaded.version = said[1], loaded.batch = said[2];
   return loaded;
 }
 
@@ -119,26 +123,31 @@ ffi::Error solve(CUstream stream, ffi::ScratchAllocator scratch, ffi::RemainingA
   constexpr size_t kCounter = 256;   // bytes, so that what follows is aligned
   constexpr size_t kAlignment = 16;  // XLA promises no more, and gives 256
   Loaded loaded;
+  static std::mutex lock;
+  static std::map<std::pair<CUcontext, std::string>, Loaded> kept;
+  auto key = std::make_pair(context, std::string(*name));
   {
-    static std::mutex lock;
-    static std::map<std::pair<CUcontext, std::string>, Loaded> kept;
     std::lock_guard<std::mutex> hold(lock);
-    auto key = std::make_pair(context, std::string(*name));
-    auto at = kept.find(key);
-    if (at == kept.end()) {
-      auto number = scratch.Allocate(kCounter, kAlignment);
-      if (!number) failure(2, "finding memory for it");
-      else loaded = load(cuda, *image, stream, *number, failure);
-      if (failure.code == 0) kept.emplace(key, loaded);
-    } else {
-      loaded = at->second;
+    if (auto at = kept.find(key); at != kept.end()) loaded = at->second;
+  }
+  // without the lock, for which another GPU may wait: to load it twice does no harm
+  if (!loaded.solve) {
+    auto number = scratch.Allocate(kCounter, kAlignment);
+    if (!number) failure(kOutOfMemory, "finding memory for it");
+    else loaded = load(cuda, *image, stream, *number, failure);
+    if (failure.code == 0 && (loaded.version != kVersion || loaded.batch != sizeof(Batch))) {
+      cuda.cuCtxPopCurrent_v2(&context);
+      return ffi::Error::Internal(
+          "the interior point's kernel is of another version of jaxscp: install jaxscp again, or export the planner again");
     }
+    std::lock_guard<std::mutex> hold(lock);
+    if (failure.code == 0) kept.emplace(key, loaded);
   }
   if (failure.code == 0 && found->batch.lanes > 0) {
     long long grid = std::min<long long>(found->batch.lanes, *blocks * loaded.multiprocessors);
     auto memory = scratch.Allocate(kCounter + grid * loaded.room * sizeof(double), kAlignment);
     if (!memory) {
-      failure(2, "finding memory for it");
+      failure(kOutOfMemory, "finding memory for it");
     } else {
       void *taken = *memory, *room = static_cast<char*>(taken) + kCounter;
       void* arguments[] = {&found->batch, &room, &loaded.room, &taken};

@@ -3,11 +3,12 @@
 
 using namespace jaxscp;
 
-extern "C" __global__ void jaxscp_room(long long* numbers) {
+// Numbers that a program and its solver take, and what ``Batch`` is to look like.
+extern "C" __global__ void jaxscp_room(long long* found) {
   Arena counting;
   Program program(kLayout, counting);
   InteriorPoint solver(program, Settings{}, counting);
-  *numbers = counting.used();
+  found[0] = counting.used(), found[1] = kVersion, found[2] = sizeof(Batch);
 }
 
 extern "C" __global__ void __launch_bounds__(kThreads, JAXSCP_BLOCKS)

@@ -12,8 +12,8 @@ constexpr int kTogether = 32;
 constexpr int kTogether = kWidth;
 #endif
 
-constexpr int kMaxGroups = 8;  // of cones
-constexpr int kMaxCones = 64;  // of a node
+constexpr int kMaxGroups = 32;  // of cones
+constexpr int kMaxCones = 256;  // of a node
 
 struct ConeShape {
   int count, dimension;
@@ -33,7 +33,7 @@ struct Cone {
   bool of_link;
 };
 
-// How many packs a vector has of each eight places: those of a node first, then those of its link.
+// How many packs a vector has at each: those of a node first, then those of its link.
 struct Shape {
   int size, of_node;
 };
@@ -53,8 +53,8 @@ struct Layout {
 
   constexpr explicit Layout(const Sizes& s)
       : sizes(s), nodes(s.nodes), n(s.variables), m(s.link_rows), r(s.rows), u(0), has_norm(s.has_norm),
-        packs(packs_for(s.nodes + 1, kTogether)), primal{n + 2, n + 1}, cone{}, xi(n), zeta(n + 1), trust(0), zero(0), virtual_(0),
-        cone_count(0), user_cones(0), trust_cone(0), virtual_cone(0), cones{}, degree(0.0) {
+        packs(packs_for(s.nodes + 1, kTogether)), primal{n + 2, n + 1}, cone{}, xi(n), zeta(n + 1), trust(0), zero(0),
+        virtual_(0), cone_count(0), user_cones(0), trust_cone(0), virtual_cone(0), cones{}, degree(0.0) {
     int at = r;
     for (int g = 0; g < s.groups; ++g)
       for (int i = 0; i < s.cones[g].count; ++i, at += s.cones[g].dimension)

@@ -151,7 +151,7 @@ class NewtonSystem {
     spread(g.hessian, p, panel, 0);
     add_squares(g.rows, p, panel, 0, g.r, [&](int i) { return 1.0 / (w[i] * w[i]); });
     for (int c = 0; c < g.user_cones; ++c) {
-      auto [offset, d, _] = g.cone_at(c);
+      const int offset = g.cone_at(c).offset, d = g.cone_at(c).dimension;
       Pack by = 1.0 / (s.eta_of(p, c) * s.eta_of(p, c));
       int row = offset - g.r;
       add_squares(g.user, p, panel, row, row + d, [&](int i) { return i == row ? -by : by; });
