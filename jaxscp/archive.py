@@ -62,7 +62,7 @@ def write(file: str | os.PathLike, plan: Plan) -> None:
                 program: Program = getattr(plan, name)
                 checks = [export.DisabledSafetyCheck.custom_call(target) for target in native.TARGETS]
                 portable = export.export(program.function, disabled_checks=checks)(*program.shapes)
-                header["native"] |= any(target in portable.mlir_module() for target in native.TARGETS)
+                header["native"] |= any(t.encode() in portable.mlir_module_serialized for t in native.TARGETS)
                 archive.writestr(f"{name}.stablehlo", bytes(portable.serialize()), zipfile.ZIP_DEFLATED)
                 with without_cache():
                     executable, _, _ = serialize_executable.serialize(program.compiled())

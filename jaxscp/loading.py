@@ -44,8 +44,10 @@ def load(file: str | os.PathLike, *, compile: bool = True) -> CompiledPlanner:
             f"{file}: exported for {header['platform']}, but JAX runs on {jax.default_backend()}. Export it there, or "
             f"set JAX_PLATFORMS={header['platform']}."
         )
-    made_on = header["machine"].get("device")
-    if header["native"] and header["platform"] == "gpu" and made_on != jax.devices()[0].device_kind:
+    here = machine()
+    differs = [name for name in here if here[name] != header["machine"].get(name)]
+    if header["native"] and header["platform"] == "gpu" and "device" in differs:
+        made_on = header["machine"].get("device")
         raise InvalidExport(f"{file}: holds a kernel for {made_on}; export the planner on this GPU.")
     if header["native"] and not native.runs_here():
         raise InvalidExport(
@@ -55,8 +57,6 @@ def load(file: str | os.PathLike, *, compile: bool = True) -> CompiledPlanner:
         solution = prototype(header["solution"], _CLASSES)
     except (KeyError, TypeError) as error:
         raise InvalidExport(f"{file}: from another version of jaxscp; export the planner again.") from error
-    here = machine()
-    differs = [name for name in here if here[name] != header["machine"].get(name)]
     if differs and not compile:
         raise InvalidExport(f"{file}: made on another machine, which differs in {', '.join(differs)}.")
     programs = compiled_anew(archive) if differs else executables(archive)

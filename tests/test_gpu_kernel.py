@@ -59,7 +59,7 @@ def emulated(program, folder: Path) -> ctypes.CDLL:
 def kernel(request, tmp_path_factory):
     """Programs of one shape, and the name of the kernel that takes them."""
     programs = [random_program(seed, **request.param) for seed in range(3)]
-    name = f"jaxscp_test_kernel_{abs(hash(str(request.param)))}"
+    name = f"jaxscp_test_kernel_{request.param_index}"
     assert native.register(emulated(programs[0], tmp_path_factory.mktemp("kernel")), name)
     return programs, name
 

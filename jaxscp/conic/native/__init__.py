@@ -98,7 +98,7 @@ def serves(program: StagedProgram) -> bool:
 
 def serves_on_gpu(program: StagedProgram) -> bool:
     """Whether the kernel takes this program, on the GPU that is JAX's default device."""
-    return _numbers_fit(program) and gpu.available() and runs_here() and gpu.serves(program)
+    return _numbers_fit(program) and runs_here() and gpu.serves(program)
 
 
 def _numbers_fit(program: StagedProgram) -> bool:

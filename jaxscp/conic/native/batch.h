@@ -29,19 +29,6 @@ struct Batch {
   Lanes<bool> stalled, broken;
 };
 
-// act(array) for all of them.
-template <typename Act>
-void each_array(Batch& b, Act act) {
-  act(b.hessian), act(b.gradient), act(b.before), act(b.after), act(b.link_offset), act(b.soft), act(b.link_weight);
-  act(b.row_matrix), act(b.row_offset), act(b.cost_scale);
-  for (auto& v : b.cone_matrix) act(v);
-  for (auto& v : b.cone_offset) act(v);
-  act(b.norm_weight), act(b.norm_scale), act(b.norm_centre);
-  act(b.z), act(b.xi), act(b.zeta), act(b.y_zero), act(b.y_orthant), act(b.y_second), act(b.s_orthant), act(b.s_second);
-  act(b.tau), act(b.kappa), act(b.error), act(b.infeasibility), act(b.unboundedness);
-  act(b.iterations), act(b.stalled), act(b.broken);
-}
-
 inline Given given(const Batch& v, int groups, long long lane) {
   Given g{v.hessian.of(lane),    v.gradient.of(lane),   v.before.of(lane),      v.after.of(lane),
           v.link_offset.of(lane), v.soft.of(lane),       v.link_weight.of(lane), v.row_matrix.of(lane),

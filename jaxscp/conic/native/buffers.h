@@ -35,13 +35,16 @@ inline ffi::ErrorOr<Shaped> shaped(ffi::RemainingArgs args, ffi::RemainingRets r
 
   // axes from the end: of the last, one
   auto axis = [](const auto& v, size_t k) { return static_cast<int>(v.dimensions()[v.dimensions().size() - k]); };
+  auto stride = [&](size_t numbers) { return static_cast<long long>(numbers) / std::max<long long>(b.lanes, 1); };
   auto argument = [&](size_t i, Input& to, int* first = nullptr, int* second = nullptr) {
     auto v = args.get<ffi::Buffer<ffi::F64>>(i);
     if (!v.has_value()) return void(error = v.error());
-    to = {v->typed_data(), static_cast<long long>(v->element_count())};
+    to = {v->typed_data(), stride(v->element_count())};
     if (first) *first = axis(*v, 2);
     if (second) *second = axis(*v, 1);
   };
+  constexpr size_t kCostScale = 9;  // has one number a lane
+  if (auto v = args.get<ffi::Buffer<ffi::F64>>(kCostScale); v.has_value()) b.lanes = v->element_count();
   size_t next = 0;
   argument(next++, b.hessian);
   argument(next++, b.gradient, &s.sizes.nodes, &s.sizes.variables);
@@ -64,13 +67,12 @@ inline ffi::ErrorOr<Shaped> shaped(ffi::RemainingArgs args, ffi::RemainingRets r
   if (cones > kMaxCones) return ffi::Unexpected(ffi::Error::InvalidArgument("too many cones at a node"));
   if (s.sizes.has_norm)
     for (Input* to : {&b.norm_weight, &b.norm_scale, &b.norm_centre}) argument(next++, *to);
-  b.lanes = b.cost_scale.stride;  // one number a lane
 
   auto result = [&](size_t i, auto tag, auto& to, int* first = nullptr, int* second = nullptr) {
     auto v = rets.get<ffi::Buffer<decltype(tag)::value>>(i);
     if (!v.has_value()) return void(error = v.error());
     using Number = std::remove_pointer_t<decltype(to.data)>;
-    to = {reinterpret_cast<Number*>((*v)->untyped_data()), static_cast<long long>((*v)->element_count())};
+    to = {reinterpret_cast<Number*>((*v)->untyped_data()), stride((*v)->element_count())};
     if (first) *first = axis(**v, 2);
     if (second) *second = axis(**v, 1);
   };
@@ -83,9 +85,6 @@ inline ffi::ErrorOr<Shaped> shaped(ffi::RemainingArgs args, ffi::RemainingRets r
   result(out++, std::integral_constant<ffi::DataType, ffi::S64>(), b.iterations);
   for (auto* to : {&b.stalled, &b.broken}) result(out++, std::integral_constant<ffi::DataType, ffi::PRED>(), *to);
   if (error.failure()) return ffi::Unexpected(error);
-
-  // until here a stride was the number of all entries
-  each_array(b, [&](auto& v) { v.stride /= std::max<long long>(b.lanes, 1); });
   return s;
 }
 

@@ -14,13 +14,11 @@ constexpr int kSides = 2;
 
 class Chain {
  public:
-  Packs vector;  // the right sides, then the solutions: row i of side s at i * kSides + s of a pack
-
   Chain(const Program& program, Arena& arena) : program_(program) {
     const int m = program.m;
     for (int count = program.nodes + 1;; count -= count / 2) {
       Level& level = levels_[last_];
-      level.count = count, level.packs = packs_for(count), level.odd_packs = packs_for(count / 2);
+      level.packs = packs_for(count), level.odd_packs = packs_for(count / 2);
       level.vector = arena.take(level.packs * m * kSides);
       int eliminated = count > 1 ? level.odd_packs : 1;
       level.panels = arena.take(eliminated * 3 * m * m);
@@ -28,12 +26,14 @@ class Chain {
       if (count == 1) break;
       ++last_;
     }
-    vector = levels_[0].vector;
     for (auto& b : blocks_) b = {arena.take(levels_[0].packs * m * m), arena.take(levels_[0].packs * m * m)};
     grams_ = arena.take(levels_[0].odd_packs * 3 * m * m);
   }
 
   int packs() const { return levels_[0].packs; }
+
+  // The right sides, then the solutions: row i of side s at i * kSides + s of a pack.
+  Packs vector() const { return levels_[0].vector; }
 
   // Blocks of the matrix, row-major: on the diagonal (lower triangles), and S_{l,l+1}, zero behind the last.
   Pack* diagonal(int p) { return &blocks_[0].diagonal[p * program_.m * program_.m]; }
@@ -58,7 +58,7 @@ class Chain {
     for (int l = 0; l < last_; ++l) descend_to<S>(levels_[l], levels_[l + 1]);
     Level& one = levels_[last_];
     share_among_teams(1, [&](int) {
-      take_sides<S>(m, [&](int i, int s) { return one.vector[i * kSides + s]; }, one.reduced.data);
+      in_team(m * S, [&](int at) { one.reduced[at] = one.vector[at / S * kSides + at % S]; });
       descend<S>(last_panel(program_), one.panels.data, one.reduced.data, one.reduced.data);
       ascend<S>(last_panel(program_), one.panels.data, one.reduced.data);
       in_team(m * S, [&](int at) { one.vector[at / S * kSides + at % S] = one.reduced[at]; });
@@ -73,7 +73,7 @@ class Chain {
     Packs diagonal, above;
   };
   struct Level {
-    int count, packs, odd_packs;
+    int packs, odd_packs;
     Packs vector;
     Packs panels;   // of the odd blocks: D, and what ties it to the even blocks left and right of it
     Packs reduced;  // right sides of the odd blocks, eliminated
@@ -93,7 +93,8 @@ class Chain {
         auto block = [&](Packs v, int q, double beyond) { return at(v, level.packs, q, size, e, beyond); };
         Pack first = block(from.above, 2 * p, 0.0), second = block(from.above, 2 * p + 1, 0.0);
         double unit = i == j ? 1.0 : 0.0;
-        if (j <= i) entry(link_panel(program_), panel, i, j) = odds(block(from.diagonal, 2 * p, unit), block(from.diagonal, 2 * p + 1, unit));
+        Pack even = block(from.diagonal, 2 * p, unit), odd = block(from.diagonal, 2 * p + 1, unit);
+        if (j <= i) entry(link_panel(program_), panel, i, j) = odds(even, odd);
         entry(link_panel(program_), panel, m + i, j) = evens(first, second);     // S_{o-1,o}
         entry(link_panel(program_), panel, 2 * m + j, i) = odds(first, second);  // S_{o,o+1}'
       });
@@ -102,7 +103,9 @@ class Chain {
     });
     share_kept(even_packs, size, [&](int p, int e) {
       double unit = e / m == e % m ? 1.0 : 0.0;
-      auto gram = [&](int q, int k) { return q >= 0 ? at(grams_, level.odd_packs, q, 3 * size, k * size + e) : all(0.0); };
+      auto gram = [&](int q, int k) {
+        return q >= 0 ? at(grams_, level.odd_packs, q, 3 * size, k * size + e) : all(0.0);
+      };
       to.above[p * size + e] = -gram(p, 2);
       if (e % m > e / m) return;
       Pack diagonal = evens(at(from.diagonal, level.packs, 2 * p, size, e, unit),
@@ -111,18 +114,16 @@ class Chain {
     });
   }
 
-  template <int S, typename From>
-  static void take_sides(int count, From from, Pack* to) {
-    in_team(count * S, [&](int at) { to[at] = from(at / S, at % S); });
-  }
-
   template <int S>
   JAXSCP_CALLED void descend_to(Level& from, Level& to) {
     const int m = program_.m, width = m * kSides;
     auto given = [&](int q, int e) { return at(from.vector, from.packs, q, width, e); };
     share_among_teams(from.odd_packs, [&](int p) {
       Pack* out = &from.reduced[p * 3 * m * kSides];
-      take_sides<S>(m, [&](int i, int s) { return odds(given(2 * p, i * kSides + s), given(2 * p + 1, i * kSides + s)); }, out);
+      in_team(m * S, [&](int k) {
+        int e = k / S * kSides + k % S;
+        out[k] = odds(given(2 * p, e), given(2 * p + 1, e));
+      });
       descend<S>(link_panel(program_), &from.panels[p * 3 * m * m], out, out);
     });
     share_kept(to.packs, m * S, [&](int p, int k) {

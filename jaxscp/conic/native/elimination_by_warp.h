@@ -1,7 +1,8 @@
 // What ``elimination.h`` does, by the lanes of a warp together.
 //
 // A panel is held by columns. Lane i has row i while the columns are eliminated one after another, and rows 32 + i and
-// so on if there are more, in its registers as far as there are enough. The leading rows end as L'^-1 in place of L, so that solutions are products.
+// so on if there are more, in its registers as far as there are enough. The leading rows end as L'^-1 in place of L, so
+// that solutions are products.
 #pragma once
 
 #include "layout.h"

@@ -56,14 +56,9 @@ def sizes_of(program: StagedProgram) -> Sizes:
     return Sizes(program.nodes, program.variables, links, rows, program.norm is not None, cones)
 
 
-def available() -> bool:
-    """Whether JAX runs on GPUs that the kernel can be compiled for."""
-    return capability() is not None and compiler() is not None
-
-
 def serves(program: StagedProgram) -> bool:
-    """Whether there is a kernel for this program; made if need be."""
-    return sizes_of(program).fit and _kernel(program) is not None
+    """Whether there is a kernel for this program, on the GPUs that JAX runs on; made if need be."""
+    return _kernel(program) is not None
 
 
 def capability() -> str | None:
@@ -89,8 +84,8 @@ def compiler() -> Any:
 
 
 def _kernel(program: StagedProgram) -> bytes | None:
-    here = capability()
-    return kernel(sizes_of(program), here, THREADS, BLOCKS) if here else None
+    here, sizes = capability(), sizes_of(program)
+    return kernel(sizes, here, THREADS, BLOCKS) if here and compiler() and sizes.fit else None
 
 
 @functools.cache

@@ -66,22 +66,8 @@ struct Worker {
 
   static Worker& of_thread(const Sizes& sizes, const Settings& settings) {
     thread_local std::unique_ptr<Worker> kept;
-    if (!kept || !(same(kept->sizes, sizes) && same(kept->settings, settings)))
-      kept = std::make_unique<Worker>(sizes, settings);
+    if (!kept || !(kept->sizes == sizes && kept->settings == settings)) kept = std::make_unique<Worker>(sizes, settings);
     return *kept;
-  }
-
-  static bool same(const Sizes& a, const Sizes& b) {
-    bool equal = a.nodes == b.nodes && a.variables == b.variables && a.link_rows == b.link_rows && a.rows == b.rows &&
-                 a.has_norm == b.has_norm && a.groups == b.groups;
-    for (int c = 0; equal && c < a.groups; ++c)
-      equal = a.cones[c].count == b.cones[c].count && a.cones[c].dimension == b.cones[c].dimension;
-    return equal;
-  }
-  static bool same(const Settings& a, const Settings& b) {
-    return a.tolerance == b.tolerance && a.proof_tolerance == b.proof_tolerance &&
-           a.loose_tolerance == b.loose_tolerance && a.regularisation == b.regularisation &&
-           a.max_iterations == b.max_iterations && a.refinements == b.refinements;
   }
 };
 

@@ -8,6 +8,7 @@ namespace jaxscp {
 struct Settings {
   double tolerance, proof_tolerance, loose_tolerance, regularisation;
   int max_iterations, refinements;
+  bool operator==(const Settings&) const = default;
 };
 
 struct Iterate {

@@ -17,6 +17,7 @@ constexpr int kMaxCones = 256;  // of a node
 
 struct ConeShape {
   int count, dimension;
+  bool operator==(const ConeShape&) const = default;
 };
 
 // All that the sizes of arrays follow from.
@@ -25,6 +26,7 @@ struct Sizes {
   bool has_norm;
   int groups;
   ConeShape cones[kMaxGroups];
+  bool operator==(const Sizes&) const = default;
 };
 
 // A second-order cone's place in a ConeVector.

@@ -215,15 +215,15 @@ class NewtonSystem {
       };
       Pack here = out(p, n + i) - lacks(w, p, i, sides[s].rx, sides[s].ry);
       here += one_before(out(p - 1, n + m + i), out(p, n + m + i));  // from the node before the link
-      chain_.vector[(p * m + i) * kSides + s] = g.of_links(p, here);
+      chain_.vector()[(p * m + i) * kSides + s] = g.of_links(p, here);
     });
     chain_.solve<S>();
     share_among_teams(chain_.packs(), [&](int p) {
       Pack* v = &below_[p * rows_ * kSides];
       in_team(m * S, [&](int k) {
         int i = k / S, s = k % S;
-        Pack here = chain_.vector[(p * m + i) * kSides + s];
-        Pack next = p + 1 < chain_.packs() ? chain_.vector[((p + 1) * m + i) * kSides + s] : all(0.0);
+        Pack here = chain_.vector()[(p * m + i) * kSides + s];
+        Pack next = p + 1 < chain_.packs() ? chain_.vector()[((p + 1) * m + i) * kSides + s] : all(0.0);
         v[n * S + k] = here;
         v[(n + m) * S + k] = one_after(here, next);
       });

@@ -20,7 +20,8 @@ struct Given {
 };
 
 // Takes entries of ``size`` numbers at each of the first ``count`` places into packs, ``stride`` packs an entry apart.
-JAXSCP_CALLED inline void gather(const double* from, int count, int size, Packs to, int offset, int stride, double beyond = 0.0) {
+JAXSCP_CALLED inline void gather(const double* from, int count, int size, Packs to, int offset, int stride,
+                                 double beyond = 0.0) {
   share(to.size / stride, size, [&](int p, int i) {
     for (int lane = 0; lane < kWidth; ++lane) {
       int k = p * kWidth + lane;
@@ -40,9 +41,9 @@ class Matrix {
  public:
   Matrix(int rows, int columns, int packs, Arena& arena)
       : rows(rows), columns(columns), start(arena.take_integers(rows + 1)), column(arena.take_integers(rows * columns)),
-        line(arena.take_integers(rows * columns)),
-        column_start_(arena.take_integers(columns + 1)), entry_(arena.take_integers(rows * columns)),
-        row_(arena.take_integers(rows * columns)), place_(arena.take_integers(rows * columns)), value_(arena.take(packs * rows * columns)) {}
+        line(arena.take_integers(rows * columns)), column_start_(arena.take_integers(columns + 1)), entry_(arena.take_integers(rows * columns)),
+        row_(arena.take_integers(rows * columns)), place_(arena.take_integers(rows * columns)),
+        value_(arena.take(packs * rows * columns)) {}
 
   // ``from(k, i, j)``: entry (i, j) at node k.
   template <typename From>
