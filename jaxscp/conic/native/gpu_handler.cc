@@ -138,7 +138,7 @@ ffi::Error solve(CUstream stream, ffi::ScratchAllocator scratch, ffi::RemainingA
     if (failure.code == 0 && (loaded.version != kVersion || loaded.batch != sizeof(Batch))) {
       cuda.cuCtxPopCurrent_v2(&context);
       return ffi::Error::Internal(
-          "the interior point's kernel is of another version of jaxscp: install jaxscp again, or export the planner again");
+          "the interior point's kernel is of another version of jaxscp: install that again, or export the planner again");
     }
     std::lock_guard<std::mutex> hold(lock);
     if (failure.code == 0) kept.emplace(key, loaded);

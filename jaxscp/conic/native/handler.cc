@@ -66,7 +66,7 @@ struct Worker {
 
   static Worker& of_thread(const Sizes& sizes, const Settings& settings) {
     thread_local std::unique_ptr<Worker> kept;
-    if (!kept || !(kept->sizes == sizes && kept->settings == settings)) kept = std::make_unique<Worker>(sizes, settings);
+    if (!kept || kept->sizes != sizes || kept->settings != settings) kept = std::make_unique<Worker>(sizes, settings);
     return *kept;
   }
 };

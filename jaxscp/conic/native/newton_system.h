@@ -19,7 +19,8 @@ class Scaling {
   JAXSCP_CALLED void set_unit() {
     share(w.size, [&](int i) { w[i] = all(0.0); });
     share(eta.size, [&](int i) { eta[i] = all(1.0); });
-    program_.each([&](int p, int i) { at(w, p)[i] = all(1.0); }, [&](int p, int i, int, int) { at(w, p)[i] = all(1.0); });
+    program_.each([&](int p, int i) { at(w, p)[i] = all(1.0); },
+                  [&](int p, int i, int, int) { at(w, p)[i] = all(1.0); });
   }
 
   JAXSCP_CALLED void set(Packs s, Packs y) {

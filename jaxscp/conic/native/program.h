@@ -41,9 +41,9 @@ class Matrix {
  public:
   Matrix(int rows, int columns, int packs, Arena& arena)
       : rows(rows), columns(columns), start(arena.take_integers(rows + 1)), column(arena.take_integers(rows * columns)),
-        line(arena.take_integers(rows * columns)), column_start_(arena.take_integers(columns + 1)), entry_(arena.take_integers(rows * columns)),
-        row_(arena.take_integers(rows * columns)), place_(arena.take_integers(rows * columns)),
-        value_(arena.take(packs * rows * columns)) {}
+        line(arena.take_integers(rows * columns)), column_start_(arena.take_integers(columns + 1)),
+        entry_(arena.take_integers(rows * columns)), row_(arena.take_integers(rows * columns)),
+        place_(arena.take_integers(rows * columns)), value_(arena.take(packs * rows * columns)) {}
 
   // ``from(k, i, j)``: entry (i, j) at node k.
   template <typename From>
@@ -250,7 +250,9 @@ class Program : public ProgramLayout {
   // Places beyond the chain's end hold nothing that counts; what is carried to others or summed is taken from here.
   Pack of_nodes(int p, Pack v) const { return where(within(p, nodes), v, all(0.0)); }
   Pack of_links(int p, Pack v) const { return where(within(p, nodes + 1), v, all(0.0)); }
-  Pack of_places(int p, int i, Shape shape, Pack v) const { return i < shape.of_node ? of_nodes(p, v) : of_links(p, v); }
+  Pack of_places(int p, int i, Shape shape, Pack v) const {
+    return i < shape.of_node ? of_nodes(p, v) : of_links(p, v);
+  }
 
   JAXSCP_CALLED double dot(Packs a, Packs b, Shape shape) const {
     return sum_of(packs, shape.size, [&](int p, int i) {
