@@ -1,4 +1,4 @@
-"""Compiles the interior point's loop for CPUs, and what launches its kernel on GPUs, where there is a C++ compiler."""
+"""Compiles the libraries in C++, where there is a compiler for it."""
 
 import importlib.util
 import os
@@ -11,7 +11,12 @@ from pathlib import Path
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
-SOURCES = Path("jaxscp/conic/native")
+SHARED = Path("jaxscp/libraries")
+INCLUDED = (SHARED, Path("jaxscp/conic/native"))
+LIBRARIES = {  # with what is compiled for a level of the instruction set, and what for any
+    Path("jaxscp/conic/native/interior_point"): (("handler",), ("gpu_handler",)),
+    Path("jaxscp/sweeps/native/sweep"): (("handler",), ()),
+}
 X86 = {
     "v4": ("-march=x86-64-v4", "-mprefer-vector-width=512"),
     "v3": ("-march=x86-64-v3",),
@@ -29,39 +34,39 @@ class NativeBuild(BuildHookInterface):
             return
         compiler = shutil.which(os.environ.get("CXX", "")) or shutil.which("c++") or shutil.which("g++")
         if compiler is None:
-            self.app.display_warning(
-                "no C++ compiler: the interior point will run as compiled by XLA, slower"
-            )
+            self.app.display_warning("no C++ compiler: all will run as compiled by XLA, slower")
             return
         levels = X86 if platform.machine().lower() in ("x86_64", "amd64") else ELSEWHERE
-        folder = Path(self.root) / SOURCES
+        wanted = [(stem, *level) for stem in LIBRARIES for level in levels.items()]
         try:
             with ThreadPoolExecutor() as pool:
                 libraries = list(
-                    pool.map(lambda level: compile_library(compiler, folder, *level), levels.items())
+                    pool.map(lambda each: compile_library(compiler, Path(self.root), *each), wanted)
                 )
         except subprocess.CalledProcessError as error:
-            self.app.display_warning(
-                f"the interior point was not compiled, and will run slower:\n{error.stderr}"
-            )
+            self.app.display_warning(f"what is in C++ was not compiled, and will run slower:\n{error.stderr}")
             return
         build_data["pure_python"] = False
         build_data["infer_tag"] = True
         build_data["artifacts"] += [str(library.relative_to(self.root)) for library in libraries]
 
 
-def compile_library(compiler: str, folder: Path, level: str, machine: tuple[str, ...]) -> Path:
+def compile_library(compiler: str, root: Path, stem: Path, level: str, machine: tuple[str, ...]) -> Path:
     """Build one level. What asks the processor for its instructions must not use them, so it is compiled for any."""
     headers = Path(importlib.util.find_spec("jaxlib").submodule_search_locations[0]) / "include"
-    library = folder / f"interior_point_{level}.so"
+    includes = [f"-I{root / folder}" for folder in INCLUDED]
+    folder = (root / stem).parent
+    of_level, of_any = LIBRARIES[stem]
+    number = level.removeprefix("v") if machine else "0"
+    sources = {folder / f"{name}.cc": machine for name in of_level}
+    sources |= {folder / f"{name}.cc": () for name in of_any}
+    sources[root / SHARED / "runs_here.cc"] = (f"-DJAXSCP_LEVEL={number}",)
+    library = folder / f"{stem.name}_{level}.so"
     with tempfile.TemporaryDirectory() as scratch:
-        number = level.removeprefix("v") if machine else "0"
-        files = {"handler": machine, "gpu_handler": (), "runs_here": (f"-DJAXSCP_LEVEL={number}",)}
-        objects = {name: Path(scratch) / f"{name}.o" for name in files}
-        for name, flags in files.items():
-            command = [*FLAGS, *flags, "-isystem", headers, "-c", folder / f"{name}.cc"]
-            run(compiler, *command, "-o", objects[name])
-        run(compiler, "-shared", *objects.values(), "-ldl", "-o", library)
+        objects = [Path(scratch) / f"{source.stem}.o" for source in sources]
+        for made, (source, flags) in zip(objects, sources.items(), strict=True):
+            run(compiler, *FLAGS, *flags, *includes, "-isystem", headers, "-c", source, "-o", made)
+        run(compiler, "-shared", *objects, "-ldl", "-o", library)
     return library
 
 

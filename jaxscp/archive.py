@@ -21,9 +21,12 @@ from jaxscp.ahead import Plan, Program
 from jaxscp.caching import without_cache
 from jaxscp.conic import native
 from jaxscp.structure import describe
+from jaxscp.sweeps import native as sweeps
 
-FORMAT = 3
+FORMAT = 4
 PROGRAMS = ("setup", "solve")
+COMPILED = {target: native.runs_here for target in native.TARGETS} | {sweeps.TARGET: sweeps.available}
+"""What programs may call that was compiled at installation; whether it is here, which makes it known to XLA."""
 
 
 class InvalidExport(ValueError):
@@ -52,7 +55,7 @@ def write(file: str | os.PathLike, plan: Plan) -> None:
         "results": {"setup": len(plan.solve.shapes), "solve": len(jax.tree.leaves(plan.solution))},
         "platform": jax.default_backend(),
         "machine": machine(),
-        "native": False,
+        "compiled": [],
     }
     target = pathlib.Path(file)
     partial = target.with_name(f"{target.name}.{os.getpid()}.partial")
@@ -60,9 +63,10 @@ def write(file: str | os.PathLike, plan: Plan) -> None:
         with zipfile.ZipFile(partial, "w") as archive:
             for name in PROGRAMS:
                 program: Program = getattr(plan, name)
-                checks = [export.DisabledSafetyCheck.custom_call(target) for target in native.TARGETS]
+                checks = [export.DisabledSafetyCheck.custom_call(target) for target in COMPILED]
                 portable = export.export(program.function, disabled_checks=checks)(*program.shapes)
-                header["native"] |= any(t.encode() in portable.mlir_module_serialized for t in native.TARGETS)
+                module = portable.mlir_module_serialized
+                header["compiled"] += [target for target in COMPILED if target.encode() in module]
                 archive.writestr(f"{name}.stablehlo", bytes(portable.serialize()), zipfile.ZIP_DEFLATED)
                 with without_cache():
                     executable, _, _ = serialize_executable.serialize(program.compiled())
@@ -99,7 +103,7 @@ def machine() -> dict[str, str]:
         "runtime": device.client.platform_version,
         "host": platform.machine(),
         "instructions": hashlib.sha256(_instructions().encode()).hexdigest(),
-        "interior point": native.level() or "none",
+        "compiled": f"{native.level()} {sweeps.level()}",
     }
 
 

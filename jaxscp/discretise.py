@@ -5,14 +5,16 @@ Within an interval, control and dilation are linear in scaled time. The end of t
 same steps (the inverse-free form), so that A, B- and B+ are the exact Jacobians of the discrete flow.
 """
 
-from collections.abc import Callable
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxscp import runge_kutta
 from jaxscp.problem import OptimalControlProblem
+from jaxscp.sweeps import Intervals, sweep
+
+METHOD = runge_kutta.CLASSICAL
 
 
 class Discretisation(eqx.Module):
@@ -47,14 +49,10 @@ def discretise(
         substeps: RK4 steps an interval; the error falls with their fourth power.
     """
 
-    def linearised(w):
-        push = lambda v: jax.jvp(lambda w: interval_flow(problem, w, substeps), (w,), (v,))  # noqa: E731
-        (state, cost), (state_jacobian, cost_jacobian) = jax.vmap(push, out_axes=((None, None), (1, 0)))(
-            jnp.eye(w.shape[0], dtype=w.dtype)
-        )
-        return Discretisation(state, cost, state_jacobian, cost_jacobian)
-
-    return jax.vmap(linearised)(interval_inputs(problem, z))
+    intervals = Intervals(problem.slope, problem.state_size, METHOD, substeps, substeps)
+    found, n = sweep(intervals, interval_inputs(problem, z)), problem.state_size
+    path, tangent = found.path[:, 0], found.tangent[:, 0]
+    return Discretisation(path[:, :n], path[:, n], tangent[:, :n], tangent[:, n])
 
 
 def propagate(problem: OptimalControlProblem, z: Float[Array, "nodes variables"], substeps: int):
@@ -63,34 +61,15 @@ def propagate(problem: OptimalControlProblem, z: Float[Array, "nodes variables"]
 
 
 def interval_flow(problem: OptimalControlProblem, w: Float[Array, "inputs"], substeps: int):
-    """State at the end of one interval and the running cost over it, by RK4 in scaled time."""
-    n = problem.state_size
-    controls = problem.dynamics.control_size + 1
-    state, first, last = w[:n], w[n : n + controls], w[n + controls :]
-    width = 1.0 / (problem.nodes - 1)
+    """State at the end of one interval and the running cost over it."""
+    n, size = problem.state_size, 1.0 / substeps
+    first, last = jnp.split(w[n:], 2)
 
-    def rate(share, state):
-        return problem.rate(state, first + share * (last - first))
+    def rate(share, extended):
+        return problem.slope(extended[:n], first + share * (last - first))
 
-    step = width / substeps
+    def forward(extended, share):
+        return runge_kutta.step(METHOD, rate, share, extended, size)[0], None
 
-    def substep(carry, index):
-        share = index / substeps
-        return rk4_step(rate, carry, share, 1.0 / substeps, step), None
-
-    zero = jnp.zeros((), w.dtype)
-    (state, cost), _ = jax.lax.scan(substep, (state, zero), jnp.arange(substeps, dtype=w.dtype))
-    return state, cost
-
-
-def rk4_step(rate: Callable, carry, share, share_step: float, step: float):
-    """One classical Runge-Kutta step of (state, cost); the control depends on the share of the interval."""
-    state, cost = carry
-    half = share + 0.5 * share_step
-    k1, c1 = rate(share, state)
-    k2, c2 = rate(half, state + 0.5 * step * k1)
-    k3, c3 = rate(half, state + 0.5 * step * k2)
-    k4, c4 = rate(share + share_step, state + step * k3)
-    return state + step / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4), cost + step / 6.0 * (
-        c1 + 2.0 * c2 + 2.0 * c3 + c4
-    )
+    end, _ = jax.lax.scan(forward, jnp.append(w[:n], 0.0), size * jnp.arange(substeps, dtype=w.dtype))
+    return end[:n], end[n]

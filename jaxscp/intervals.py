@@ -11,14 +11,15 @@ from collections.abc import Callable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jaxscp import runge_kutta
 from jaxscp.constraints import AcrossIntervals, AtNodes, Constraint, SecondOrder
 from jaxscp.discretise import interval_inputs
 from jaxscp.problem import OptimalControlProblem
 from jaxscp.types import Scalar
 
+METHOD = runge_kutta.SIXTH_ORDER
 RESERVE = 1.1  # of the margin: a path may bend more between the points than at them
 _KINK = 1e-4  # m, or a value's unit: rounds the corner of max(0, d); a sixteenth of it may be missed
 
@@ -37,6 +38,11 @@ class Grid(eqx.Module):
     def __check_init__(self):
         if self.points < 3 or self.steps < 1:
             raise ValueError(f"a grid needs 3 points and 1 step or more, not {self.points} and {self.steps}")
+
+    @property
+    def all_steps(self) -> int:
+        """Runge-Kutta steps of an interval."""
+        return self.points * self.steps
 
 
 class Outputs(eqx.Module):
@@ -130,38 +136,32 @@ def fly(problem: OptimalControlProblem, w: Float[Array, "inputs"], grid: Grid, p
         push: (all steps, stages, states + 1), added to the slopes of the stages; of use for its derivatives.
     """
     n = problem.state_size
-    rate = jax.checkpoint(interval_rate(problem, w))  # reverse mode keeps no more of a stage than its state
+    size = 1.0 / grid.all_steps
+
+    @jax.checkpoint  # reverse mode keeps no more of a stage than its state
+    def rate(share, extended):
+        return problem.slope(extended[:n], controls_at(problem, w, share))
 
     def forward(extended, at):
-        extended, _ = rk6_step(rate, at[0], extended, step_size(grid), at[1])
+        extended, _ = runge_kutta.step(METHOD, rate, at[0], extended, size, at[1])
         return extended, extended
 
-    _, path = jax.lax.scan(forward, jnp.append(w[:n], 0.0), (step_begins(grid, w), push))
-    return at_points(problem, w, grid, path)
+    begins = size * jnp.arange(grid.all_steps, dtype=w.dtype)
+    _, path = jax.lax.scan(forward, jnp.append(w[:n], 0.0), (begins, push))
+    return at_points(problem, w, grid, path[grid.steps - 1 :: grid.steps])
 
 
 def at_points(
     problem: OptimalControlProblem,
     w: Float[Array, "inputs"],
     grid: Grid,
-    path: Float[Array, "steps extended"],
+    path: Float[Array, "points extended"],
 ):
-    """States and controls (with dilation) at the points, and the running cost, from the state after every step and its
-    running cost."""
+    """States and controls (with dilation) at the points, and the running cost, from the state and the cost so far at
+    every point but the first."""
     n = problem.state_size
-    states = jnp.concatenate([w[None, :n], path[grid.steps - 1 :: grid.steps, :n]])
     share = jnp.linspace(0.0, 1.0, grid.points + 1, dtype=w.dtype)
-    return states, controls_at(problem, w, share), path[-1, n]
-
-
-def step_begins(grid: Grid, like: Array) -> Float[Array, "steps"]:
-    """Shares of the interval at which the integration's steps begin."""
-    return step_size(grid) * jnp.arange(grid.points * grid.steps, dtype=like.dtype)
-
-
-def step_size(grid: Grid) -> float:
-    """Of the integration, as a share of the interval."""
-    return 1.0 / (grid.points * grid.steps)
+    return jnp.concatenate([w[None, :n], path[:, :n]]), controls_at(problem, w, share), path[-1, n]
 
 
 def controls_at(problem: OptimalControlProblem, w: Float[Array, "inputs"], share: Float[Array, "*b"]):
@@ -169,64 +169,6 @@ def controls_at(problem: OptimalControlProblem, w: Float[Array, "inputs"], share
     n, m = problem.state_size, problem.dynamics.control_size + 1
     first, last = w[n : n + m], w[n + m :]
     return first + share[..., None] * (last - first)
-
-
-def interval_rate(problem: OptimalControlProblem, w: Float[Array, "inputs"]) -> Callable[..., Array]:
-    """Slope of the state, and of the running cost after it, by the share of the interval."""
-    n = problem.state_size
-    return lambda share, extended: extended_rate(problem, extended[:n], controls_at(problem, w, share))
-
-
-def extended_rate(
-    problem: OptimalControlProblem, state: Float[Array, "states"], control: Float[Array, "inputs"]
-) -> Float[Array, "extended"]:
-    """Slope of the state, and of the running cost after it, by the share of the interval."""
-    return jnp.append(*problem.rate(state, control)) / (problem.nodes - 1)
-
-
-# Butcher, "On Runge-Kutta processes of high order" (1964): sixth order in seven stages.
-_SHARES = np.array([0, 1 / 3, 2 / 3, 1 / 3, 1 / 2, 1 / 2, 1])
-_WEIGHTS = np.array([11 / 120, 0, 27 / 40, 27 / 40, -4 / 15, -4 / 15, 11 / 120])
-_STAGES = np.array(
-    [
-        [0, 0, 0, 0, 0, 0, 0],
-        [1 / 3, 0, 0, 0, 0, 0, 0],
-        [0, 2 / 3, 0, 0, 0, 0, 0],
-        [1 / 12, 1 / 3, -1 / 12, 0, 0, 0, 0],
-        [-1 / 16, 9 / 8, -3 / 16, -3 / 8, 0, 0, 0],
-        [0, 9 / 8, -3 / 8, -3 / 4, 1 / 2, 0, 0],
-        [9 / 44, -9 / 11, 63 / 44, 18 / 11, 0, -16 / 11, 0],
-    ]
-)
-STAGES = len(_SHARES)
-
-
-def rk6_step(
-    rate: Callable[..., Array], share, state: Float[Array, "states"], step: float, push: Array | None = None
-):
-    """One step of a sixth-order method: ten steps of fourth order evaluate more than five of these, and err more.
-
-    The stages are a loop, so that derivatives of the dynamics are traced and compiled once.
-
-    Returns:
-        The state after the step, and the states (stages, states) that the slopes are taken at.
-    """
-
-    def stage(slopes, at):
-        index, node, row, push = at
-        moved = state + step * jnp.sum(row[:, None] * slopes, axis=0)
-        slope = rate(share + step * node, moved)
-        slope = slope if push is None else slope + push
-        return jax.lax.dynamic_update_index_in_dim(slopes, slope, index, 0), moved
-
-    table = (jnp.arange(STAGES), *(jnp.asarray(t, state.dtype) for t in (_SHARES, _STAGES)), push)
-    slopes, moved = jax.lax.scan(stage, jnp.zeros((STAGES, state.shape[0]), state.dtype), table)
-    return state + step * jnp.sum(jnp.asarray(_WEIGHTS, state.dtype)[:, None] * slopes, axis=0), moved
-
-
-def stage_shares(share, step: float) -> Float[Array, "stages"]:
-    """Where in the interval the slopes of a step are taken."""
-    return share + step * jnp.asarray(_SHARES)
 
 
 def _values(problem: OptimalControlProblem, constraint: Constraint, parameters, keep, states, controls):

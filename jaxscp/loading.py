@@ -5,9 +5,8 @@ import os
 import jax
 
 from jaxscp.ahead import CompiledPlanner
-from jaxscp.archive import InvalidExport, compiled_anew, executables, machine, read
+from jaxscp.archive import COMPILED, InvalidExport, compiled_anew, executables, machine, read
 from jaxscp.certificate import Certificate
-from jaxscp.conic import native
 from jaxscp.lagrangian import FlightMultipliers
 from jaxscp.planner import Solution
 from jaxscp.scp import History
@@ -24,8 +23,8 @@ def load(file: str | os.PathLike, *, compile: bool = True) -> CompiledPlanner:
     The file holds machine code, which a call runs: load none that you would not run as a program. The code is used
     where jax, jaxlib, device and the processor's instruction sets are those that it was made with, and the answers are
     then bitwise those of the planner. Elsewhere the portable form in the file is compiled (``jaxscp.use_cache`` keeps
-    what comes of it). A planner that was exported with the compiled interior point needs it where it is loaded, and
-    on a GPU one of the same model.
+    what comes of it). A planner that calls what was compiled at jaxscp's installation needs that where it is loaded,
+    and on a GPU one of the same model.
 
     Args:
         file: its name.
@@ -46,12 +45,12 @@ def load(file: str | os.PathLike, *, compile: bool = True) -> CompiledPlanner:
         )
     here = machine()
     differs = [name for name in here if here[name] != header["machine"].get(name)]
-    if header["native"] and header["platform"] == "gpu" and "device" in differs:
+    if header["compiled"] and header["platform"] == "gpu" and "device" in differs:
         made_on = header["machine"].get("device")
         raise InvalidExport(f"{file}: holds a kernel for {made_on}; export the planner on this GPU.")
-    if header["native"] and not native.runs_here():
+    if not all(name in COMPILED and COMPILED[name]() for name in header["compiled"]):
         raise InvalidExport(
-            f"{file}: calls the compiled interior point, which is not here; install jaxscp again with a C++ compiler."
+            f"{file}: calls what was compiled with jaxscp, and is not here; install jaxscp again with a C++ compiler."
         )
     try:
         solution = prototype(header["solution"], _CLASSES)

@@ -115,6 +115,12 @@ class OptimalControlProblem(eqx.Module):
         carried = [cost[None]] * self.carries_cost + [s[None]] * self.carries_time
         return jnp.concatenate([derivative, *carried]), cost
 
+    def slope(
+        self, state: Float[Array, "states"], control: Float[Array, "inputs"]
+    ) -> Float[Array, "extended"]:
+        """Slope of the whole state, and of the running cost after it, by the share of an interval."""
+        return jnp.append(*self.rate(state, control)) / (self.nodes - 1)
+
 
 def start_condition(problem: OptimalControlProblem, state: Float[Array, "states"]):
     """Jacobian and value of the conditions at the start, where time (and running cost) are zero."""

@@ -8,7 +8,6 @@ from jaxscp.intervals import (
     Linearisation,
     Outputs,
     controls_at,
-    extended_rate,
     linearise,
     path_outputs,
 )
@@ -29,7 +28,7 @@ def _outputs(problem: OptimalControlProblem, w: Float[Array, "inputs"], given, g
     shares = jnp.linspace(0.0, 1.0, grid.points + 1, dtype=w.dtype)
 
     def rate(share, extended, w):
-        return extended_rate(problem, extended[:n], controls_at(problem, w, share))
+        return problem.slope(extended[:n], controls_at(problem, w, share))
 
     solution = diffeqsolve(
         ODETerm(rate),

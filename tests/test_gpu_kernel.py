@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxscp import libraries
 from jaxscp.conic import native
 from jaxscp.conic.equilibrate import equilibrate
 from jaxscp.conic.examples import random_program
@@ -60,7 +61,8 @@ def kernel(request, tmp_path_factory):
     """Programs of one shape, and the name of the kernel that takes them."""
     programs = [random_program(seed, **request.param) for seed in range(3)]
     name = f"jaxscp_test_kernel_{request.param_index}"
-    assert native.register(emulated(programs[0], tmp_path_factory.mktemp("kernel")), name)
+    library = emulated(programs[0], tmp_path_factory.mktemp("kernel"))
+    assert libraries.register(library, native.TARGET, target=name)
     return programs, name
 
 

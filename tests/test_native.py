@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxscp import status_names
+from jaxscp import libraries, status_names
 from jaxscp.conic import native
 from jaxscp.conic.equilibrate import equilibrate
 from jaxscp.conic.examples import random_program
@@ -77,14 +77,14 @@ def test_end_is_the_same(both, seed, kind, norm):
         assert_same(jaxs.z, ours.z, SAME_POINT)
 
 
-@pytest.mark.parametrize("level", native.LEVELS)
+@pytest.mark.parametrize("level", libraries.LEVELS)
 def test_every_level_that_runs_here_gives_the_same(level, monkeypatch):
-    library = native.library(level)
+    library = libraries.library(native.STEM, level)
     if library is None:
         pytest.skip(f"{level} is not built for this kind of machine, or it lacks the instructions")
     program = random_program(2, nodes=17)
     expected = iterate(InteriorPoint(max_iterations=STEPS), program)
-    assert native.register(library, f"jaxscp_test_{level}")
+    assert libraries.register(library, native.TARGET, target=f"jaxscp_test_{level}")
     monkeypatch.setattr(native, "TARGET", f"jaxscp_test_{level}")
     assert_same(expected.iterate, iterate(InteriorPoint(max_iterations=STEPS), program).iterate, ROUNDING)
 

@@ -153,7 +153,9 @@ def _conic_pieces(pieces: Pieces, conic: Any, program: Any, count: int, steps: i
     started, taken = start.seconds(program), int(whole.result(program).iterations)
     step = (whole.seconds(program) - started) / taken
     pieces.add(Piece("conic: start and conclude", count, started - pieces.found[-1].seconds, np.nan))
-    pieces.add(Piece("conic: Newton step", steps, step, flops_of_loop(conic, program)))
+    pieces.add(
+        Piece("conic: Newton step", steps, step, flops_of_loop(replace(conic, compiled=False), program))
+    )
     if conic.compiled and native.serves(program):
         return  # its parts are those of the loop as JAX
 

@@ -17,15 +17,14 @@ The libraries are compiled when the package is installed, if there is a C++ comp
 and in float32, the interior point runs as JAX.
 """
 
-import ctypes
 import functools
-import warnings
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxscp import libraries
 from jaxscp.conic import kkt
 from jaxscp.conic.native import gpu
 from jaxscp.conic.program import StagedProgram
@@ -33,8 +32,10 @@ from jaxscp.types import Scalar
 
 TARGET = "jaxscp_interior_point"
 TARGETS = (TARGET, gpu.TARGET)
-LEVELS = ("v4", "v3", "any")  # best first
 MAX_GROUPS, MAX_CONES = 32, 256  # of a node, as in ``layout.h``
+
+
+STEM = Path(__file__).with_name("interior_point")
 
 
 def available() -> bool:
@@ -45,43 +46,15 @@ def available() -> bool:
 @functools.cache
 def level() -> str | None:
     """The instruction set that the loop is compiled for here, if it is: ``v4`` and ``v3`` of x86-64, or ``any``."""
-    for name in LEVELS:
-        if (found := library(name)) is not None:
-            return name if register(found, TARGET) else None
-    return None
+    found = libraries.fastest(STEM)
+    return found[0] if found and libraries.register(found[1], TARGET) else None
 
 
 @functools.cache
 def available_on_gpu() -> bool:
     """Whether what launches the kernel was compiled for this machine; makes it known to XLA."""
-    name = level()
-    found = library(name) if name else None
-    return found is not None and register(found, gpu.TARGET, "jaxscp_interior_point_on_gpu", "CUDA")
-
-
-def library(level: str) -> ctypes.CDLL | None:
-    """The loop compiled for an instruction set, if it was and this machine has that."""
-    file = Path(__file__).with_name(f"interior_point_{level}.so")
-    if not file.exists():
-        return None
-    found = ctypes.CDLL(str(file))
-    return found if found.jaxscp_runs_here() else None
-
-
-def register(
-    library: ctypes.CDLL, target: str, handler: str = "jaxscp_interior_point", platform: str = "cpu"
-) -> bool:
-    """Make a compiled handler known to XLA by a name; warns where it does not fit."""
-    try:
-        jax.ffi.register_ffi_target(target, jax.ffi.pycapsule(getattr(library, handler)), platform=platform)
-    except Exception as error:  # XLA's own types, which differ by version
-        warnings.warn(
-            f"jaxscp: the compiled interior point does not fit this jaxlib, and is left out ({error}); "
-            "install jaxscp again to compile it anew",
-            stacklevel=2,
-        )
-        return False
-    return True
+    found = libraries.fastest(STEM)
+    return found is not None and libraries.register(found[1], gpu.TARGET, "CUDA")
 
 
 def runs_here() -> bool:

@@ -1,0 +1,51 @@
+"""Libraries in C++, which are compiled when the package is installed, one for each level of the instruction set.
+
+runs_here.cc   whether this machine has the instructions of a library
+spread.h       work shared among the threads of XLA
+"""
+
+import ctypes
+import functools
+import warnings
+from pathlib import Path
+
+import jax
+
+LEVELS = ("v4", "v3", "any")  # best first: two of x86-64, and what the machine that compiled had
+
+
+def fastest(stem: Path) -> tuple[str, ctypes.CDLL] | None:
+    """The level, and the library of it, that is the best that was compiled and runs here.
+
+    Args:
+        stem: of the libraries' files, ``stem_level.so``.
+    """
+    for level in LEVELS:
+        if (found := library(stem, level)) is not None:
+            return level, found
+    return None
+
+
+@functools.cache
+def library(stem: Path, level: str) -> ctypes.CDLL | None:
+    """The library for an instruction set, if it was compiled and this machine has that."""
+    file = stem.with_name(f"{stem.name}_{level}.so")
+    if not file.exists():
+        return None
+    found = ctypes.CDLL(str(file))
+    return found if found.jaxscp_runs_here() else None
+
+
+def register(library: ctypes.CDLL, handler: str, platform: str = "cpu", target: str | None = None) -> bool:
+    """Make a compiled handler known to XLA, by its own name or another; warns where it does not fit."""
+    try:
+        capsule = jax.ffi.pycapsule(getattr(library, handler))
+        jax.ffi.register_ffi_target(target or handler, capsule, platform=platform)
+    except Exception as error:  # XLA's own types, which differ by version
+        warnings.warn(
+            f"jaxscp: what was compiled at its installation does not fit this jaxlib, and is left out ({error}); "
+            "install jaxscp again to compile it anew",
+            stacklevel=2,
+        )
+        return False
+    return True
