@@ -10,9 +10,11 @@ from typing import Any
 class Number:
     """An operation on other numbers; or a constant, an argument, a parameter, which have none."""
 
-    __slots__ = ("kind", "operands", "value")
+    __slots__ = ("index", "kind", "operands", "value")
 
-    def __init__(self, kind: str, value: Any, operands: tuple["Number", ...]) -> None:
+    def __init__(self, index: int, kind: str, value: Any, operands: tuple["Number", ...]) -> None:
+        self.index = index
+        """Of its coming into being, so that what is sorted is the same in every run."""
         self.kind = kind
         self.value = value
         """Of a constant; the index of an argument, the array and index of a parameter."""
@@ -112,12 +114,12 @@ class Graph:
         return self.leaf("constant", value)
 
     def _get(self, kind: str, operands: tuple[Number, ...], value: Any = None) -> Number:
-        key = (kind, value, *map(id, operands))
+        key = (kind, value, *(v.index for v in operands))
         found = self._numbers.get(key)
         if found is None:
-            found = self._numbers[key] = Number(kind, value, operands)
+            found = self._numbers[key] = Number(len(self._numbers), kind, value, operands)
         return found
 
 
 def _sorted(a: Number, b: Number) -> tuple[Number, Number]:
-    return (a, b) if id(a) < id(b) else (b, a)
+    return (a, b) if a.index < b.index else (b, a)
