@@ -44,21 +44,21 @@ struct Arrays {
 
 void sweep_pack(const Sweep& s, const Arrays& at, int64_t pack, SweepPack& here) {
   const int rows = s.extended(), columns = s.inputs();
-  const int64_t begin = pack * kWidth;
+  const int64_t begin = pack * kLanes;
   auto lane_of = [&](int lane) { return std::min<int64_t>(begin + lane, at.count - 1); };
-  for (int lane = 0; lane < kWidth; ++lane) {
+  for (int lane = 0; lane < kLanes; ++lane) {
     const double* w = at.w + lane_of(lane) * columns;
     const double* parameters = at.parameters + lane_of(lane) / at.intervals * s.parameters;
-    for (int i = 0; i < columns; ++i) set(here.w()[i], lane, w[i]);
+    for (int i = 0; i < columns; ++i) set(here.w(i), lane, w[i]);
     for (int i = 0; i < s.parameters; ++i) set(here.parameter(i), lane, parameters[i]);
   }
   auto price = [&](int step, int stage, int row) {
-    Pack p;
-    for (int lane = 0; lane < kWidth; ++lane)
+    Wide p;
+    for (int lane = 0; lane < kLanes; ++lane)
       set(p, lane, at.prices[((lane_of(lane) * s.steps + step) * s.stages() + stage) * rows + row]);
     return p;
   };
-  const int lanes = static_cast<int>(std::min<int64_t>(kWidth, at.count - begin));
+  const int lanes = static_cast<int>(std::min<int64_t>(kLanes, at.count - begin));
   auto keep = [&](int point) {
     for (int lane = 0; lane < lanes; ++lane) {
       const int64_t to = (begin + lane) * s.kept() + point;
@@ -88,9 +88,10 @@ ffi::Error sweep(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::RemainingRe
   at.path = (*rets.get<ffi::AnyBuffer>(0))->typed_data<double>();
   at.tangent = (*rets.get<ffi::AnyBuffer>(1))->typed_data<double>();
   if (s.priced) at.curvature = (*rets.get<ffi::AnyBuffer>(2))->typed_data<double>();
-  const int64_t packs = (at.count + kWidth - 1) / kWidth;
+  const int64_t packs = (at.count + kLanes - 1) / kLanes;
   spread(pool, packs, [&](int64_t pack) {
-    SweepPack here(s);
+    thread_local std::vector<Wide> memory;  // to find it anew takes as long as half a sweep
+    SweepPack here(s, memory);
     sweep_pack(s, at, pack, here);
   });
   return ffi::Error::Success();
