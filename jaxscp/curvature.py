@@ -69,13 +69,20 @@ def condensed(
         step = jnp.concatenate([jacobian, carry_controls])  # (x, U)_{i+1} = step w_i + offset
         offset = jnp.concatenate([defect, jnp.zeros(controls)])
         whole = block + step.T @ after @ step
-        tries = [_schur_complement(whole, stage, floor) for floor in FLOORS]
-        fine = [jnp.linalg.eigvalsh(before)[0] >= -DEEPEST_CURVATURE for before, _, _ in tries]
-        before, convex, _ = _schur_complement(_clip(whole, FLOORS[0])[0], stage, FLOORS[0])
-        for good, (other_before, other_convex, _) in zip(fine[::-1], tries[::-1], strict=True):
-            before, convex = jnp.where(good, other_before, before), jnp.where(good, other_convex, convex)
-        fine = fine[0] & (tries[0][2] >= FLOORS[0])
-        return before, (convex, step.T @ (after @ offset), ~fine)
+        least, tries = _schur_complements(whole, stage)
+        fine = [_convex(before + DEEPEST_CURVATURE * jnp.eye(stage)) for before, _ in tries]
+
+        def clipped(whole):
+            return _schur_complements(_clip(whole, FLOORS[0])[0], stage)[1][0]
+
+        def first_that_serves(whole):
+            found = tries[-1]
+            for good, other in zip(fine[-2::-1], tries[-2::-1], strict=True):
+                found = jax.tree.map(lambda a, b, good=good: jnp.where(good, a, b), other, found)
+            return found
+
+        before, convex = jax.lax.cond(jnp.any(jnp.stack(fine)), first_that_serves, clipped, whole)
+        return before, (convex, step.T @ (after @ offset), ~(fine[0] & (least >= FLOORS[0])))
 
     first, (convex, gradient, clipped) = jax.lax.scan(
         backward, final, (hessian, chain.jacobian, chain.defect), reverse=True
@@ -92,11 +99,23 @@ def _clip(h: Float[Array, "n n"], least: float) -> tuple[Float[Array, "n n"], Sc
     return (vectors * jnp.maximum(values, least)) @ vectors.T, values[0]
 
 
-def _schur_complement(whole: Float[Array, "n n"], stage: int, floor: float):
-    """Minimise over the controls at the interval's end: what is left, what was used, and its least curvature."""
-    used, least = _clip(whole[stage:, stage:], floor)
-    cross = whole[stage:, :stage]
-    saved = cross.T @ jnp.linalg.solve(used, cross)
-    before = whole[:stage, :stage] - saved
-    convex = jnp.block([[saved, cross.T], [cross, used]])
-    return 0.5 * (before + before.T), 0.5 * (convex + convex.T), least
+def _convex(h: Float[Array, "n n"]) -> Bool[Array, ""]:
+    """Whether a symmetric matrix has a Cholesky factor."""
+    return jnp.all(jnp.isfinite(jnp.linalg.cholesky(h)))
+
+
+def _schur_complements(whole: Float[Array, "n n"], stage: int):
+    """Minimise over the controls at the interval's end, their curvature raised to each of the floors: the least
+    curvature that they have themselves; by floor, what is left and what was used."""
+    own, cross = whole[stage:, stage:], whole[stage:, :stage]
+    values, vectors = jnp.linalg.eigh(0.5 * (own + own.T))
+    turned = vectors.T @ cross
+
+    def at(floor):
+        raised = jnp.maximum(values, floor)
+        saved = turned.T @ (turned / raised[:, None])
+        before = whole[:stage, :stage] - saved
+        convex = jnp.block([[saved, cross.T], [cross, (vectors * raised) @ vectors.T]])
+        return 0.5 * (before + before.T), 0.5 * (convex + convex.T)
+
+    return values[0], [at(floor) for floor in FLOORS]
