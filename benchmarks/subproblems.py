@@ -154,7 +154,7 @@ def _steps(mode: str):
 
     @jax.jit
     def advance(problem, state, solution):
-        given = SCP(trust_region=MODES[mode], conic=lambda _: solution)
+        given = SCP(trust_region=MODES[mode], conic=lambda *_: solution)
         return given.step(problem, state)
 
     return jax.jit(method.init), linearise, advance

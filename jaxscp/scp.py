@@ -23,6 +23,8 @@ from jaxscp.sensitivity import without_derivative
 from jaxscp.status import Status, StatusCode, usable
 from jaxscp.types import Count, Flag, Scalar
 
+COARSEST = 1e-4  # relative accuracy of the first subproblems
+
 
 class History(eqx.Module):
     """One row an iteration, (max_iterations,) each; rows from ``iterations`` on are zero."""
@@ -91,7 +93,7 @@ class SCP(eqx.Module):
         tolerance_step: largest |z_k - zref_k| of a converged iterate.
         max_iterations: subproblems allowed.
         substeps: RK4 steps an interval; never fewer than ten, since optimisers exploit the error of four.
-        conic: solver of the subproblems.
+        conic: solver of the subproblems, which is told what accuracy is enough.
     """
 
     trust_region: TrustRegion = NormTrustRegion()
@@ -100,7 +102,7 @@ class SCP(eqx.Module):
     tolerance_step: float = 1e-3
     max_iterations: int = eqx.field(default=50, static=True)
     substeps: int = eqx.field(default=10, static=True)
-    conic: Callable[[StagedProgram], ConicSolution] = InteriorPoint()
+    conic: Callable[[StagedProgram, Scalar], ConicSolution] = InteriorPoint()
 
     @property
     def published(self) -> bool:
@@ -139,7 +141,7 @@ class SCP(eqx.Module):
     def step(self, problem: OptimalControlProblem, state: SCPState) -> SCPState:
         """Solve one subproblem and take its answer as the next reference."""
         program, cost = convexify(problem, state.z, state.flow, self.trust_region, self.virtual_weight)
-        solution = self.conic(program)
+        solution = self.conic(program, sufficient_accuracy(state))
         good = usable(solution.status) & jnp.all(jnp.isfinite(solution.z))
         z = jnp.where(good, solution.z, state.z)
         flow = discretise(problem, z, self.substeps)
@@ -180,6 +182,17 @@ class SCP(eqx.Module):
         start = self.init(problem, z)
         start = eqx.tree_at(lambda s: s.done, start, ~jnp.asarray(wanted))
         return lanes.while_loop(lambda state: ~self.terminate(state), self.step, problem, start)
+
+
+def sufficient_accuracy(state: SCPState) -> Scalar:
+    """Relative accuracy that the next subproblem is worth: next to nothing is gained by more.
+
+    Iterates converge quadratically, so that the step to come is about the square of the last one; and what the cost
+    gains by it is the square of that.
+    """
+    last = state.history.step[state.iterations - 1]  # zero before the first, whose row is the last one's
+    ahead = jnp.where(state.iterations == 0, 1.0, jnp.minimum(last, 1.0) ** 2)
+    return COARSEST * ahead**2
 
 
 def largest_defect(

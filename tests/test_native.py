@@ -77,6 +77,21 @@ def test_end_is_the_same(both, seed, kind, norm):
         assert_same(jaxs.z, ours.z, SAME_POINT)
 
 
+def test_no_more_accuracy_than_is_enough():
+    """Each lane to its own: coarser ones take fewer steps, and are near the optimum by as much as they say."""
+    program = random_program(3, nodes=9)
+    accuracies = jnp.array([0.0, 1e-5, 1e-2])
+    for compiled in (True, False):
+        solver = InteriorPoint(compiled=compiled)
+        found = jax.jit(jax.vmap(solver, in_axes=(None, 0)))(program, accuracies)
+        assert list(status_names(found.status)) == ["converged"] * 3
+        steps = [int(n) for n in found.iterations]
+        assert steps[0] > steps[1] > steps[2]
+        error = jnp.abs(found.objective - found.objective[0]) / jnp.maximum(1.0, jnp.abs(found.objective[0]))
+        assert 0.0 < error[1] < 1e-4
+        assert error[1] < error[2] < 1e-1
+
+
 @pytest.mark.parametrize("level", libraries.LEVELS)
 def test_every_level_that_runs_here_gives_the_same(level, monkeypatch):
     library = libraries.library(native.STEM, level)

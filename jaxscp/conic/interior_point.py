@@ -102,35 +102,46 @@ class InteriorPoint(eqx.Module):
     equilibration: int = eqx.field(default=3, static=True)
     compiled: bool = eqx.field(default=True, static=True)
 
-    def __call__(self, program: StagedProgram) -> ConicSolution:
+    def __call__(self, program: StagedProgram, accuracy: Scalar | float = 0.0) -> ConicSolution:
         """Solve a program.
+
+        Args:
+            program: to solve.
+            accuracy: relative gap and residuals that are enough, if that is more than the tolerance: steps that an
+                outer iteration has no use for are not taken.
 
         Returns:
             A ``ConicSolution``; ``z`` is always finite, its ``status`` says what it is worth.
         """
         scaled, scales = equilibrate(program, self.equilibration)
-        ended = self.iterate(scaled, scales)
+        tolerance = jnp.maximum(self.tolerance, jnp.asarray(accuracy, program.gradient.dtype))
+        ended = self.iterate(scaled, scales, tolerance)
         x, y, _ = ended.iterate.solution()
         z, multipliers = restored(scaled, scales, x, y)
-        return ConicSolution(z, multipliers, program.objective(z), self.status(ended), ended.iterations)
+        return ConicSolution(
+            z, multipliers, program.objective(z), self.status(ended, tolerance), ended.iterations
+        )
 
-    def iterate(self, program: StagedProgram, scales: Scales) -> Ended:
-        """The loop itself, on an equilibrated program."""
-        program, scales = _without_derivative((program, scales))
+    def iterate(
+        self, program: StagedProgram, scales: Scales, tolerance: Scalar | float | None = None
+    ) -> Ended:
+        """The loop itself, on an equilibrated program; to the solver's own tolerance if to no other."""
+        wanted = jnp.asarray(self.tolerance if tolerance is None else tolerance, program.gradient.dtype)
+        program, scales, wanted = _without_derivative((program, scales, wanted))
         compiled = {}
         if self.compiled and native.serves(program):
             compiled["cpu"] = functools.partial(self._iterate_compiled, native.call)
         if self.compiled and native.serves_on_gpu(program):
             compiled["cuda"] = functools.partial(self._iterate_compiled, native.call_on_gpu)
         if not compiled:
-            return self._iterate(program, scales)
+            return self._iterate(program, scales, wanted)
         if jax.default_backend() == "cpu":  # which spares tracing what another device would run
-            return compiled["cpu"](program, scales)
-        return jax.lax.platform_dependent(program, scales, **compiled, default=self._iterate)
+            return compiled["cpu"](program, scales, wanted)
+        return jax.lax.platform_dependent(program, scales, wanted, **compiled, default=self._iterate)
 
-    def _iterate(self, program: StagedProgram, scales: Scales) -> Ended:
+    def _iterate(self, program: StagedProgram, scales: Scales, tolerance: Scalar) -> Ended:
         progress = jax.lax.while_loop(
-            lambda p: ~self._finished(p),
+            lambda p: ~self._finished(p, tolerance),
             lambda p: self._step(program, scales, p),
             self._start(program, scales),
         )
@@ -138,9 +149,8 @@ class InteriorPoint(eqx.Module):
         measures = r.error, r.infeasibility, r.unboundedness
         return Ended(progress.iterate, *measures, progress.iterations, progress.stalled, progress.broken)
 
-    def _iterate_compiled(self, call, program: StagedProgram, scales: Scales) -> Ended:
+    def _iterate_compiled(self, call, program: StagedProgram, scales: Scales, tolerance: Scalar) -> Ended:
         names = (
-            "tolerance",
             "proof_tolerance",
             "loose_tolerance",
             "regularisation",
@@ -148,7 +158,7 @@ class InteriorPoint(eqx.Module):
             "refinements",
         )
         settings = {name: getattr(self, name) for name in names}
-        found = call(program, scales.cost, **settings)
+        found = call(program, scales.cost, tolerance, **settings)
         z, xi, zeta, y_zero, y_orthant, y_second, s_orthant, s_second, tau, kappa, *measures = found
         y, s = (
             ConeVector(y_zero, y_orthant, y_second),
@@ -156,8 +166,9 @@ class InteriorPoint(eqx.Module):
         )
         return Ended(Iterate(Primal(z, xi, zeta), y, s, tau, kappa), *measures)
 
-    def status(self, r: Ended) -> StatusCode:
-        """How the loop ended."""
+    def status(self, r: Ended, tolerance: Scalar | float | None = None) -> StatusCode:
+        """How the loop ended, of which its tolerance decides; the solver's own if no other."""
+        tolerance = self.tolerance if tolerance is None else tolerance
         solved_status = Status.where(
             r.broken,
             Status.numerical_error,
@@ -168,7 +179,7 @@ class InteriorPoint(eqx.Module):
         solved_status = Status.where(
             r.infeasibility <= self.proof_tolerance, Status.infeasible, solved_status
         )
-        return Status.where(r.error <= self.tolerance, Status.converged, solved_status)
+        return Status.where(r.error <= tolerance, Status.converged, solved_status)
 
     def _start(self, program: StagedProgram, scales: Scales) -> Progress:
         """The point that solves the program with its cones replaced by a least-squares penalty."""
@@ -186,11 +197,11 @@ class InteriorPoint(eqx.Module):
         false = jnp.zeros((), bool)
         return Progress(iterate, residuals, jnp.zeros((), int), false, ~jnp.isfinite(residuals.error))
 
-    def _finished(self, progress: Progress) -> Bool[Array, ""]:
+    def _finished(self, progress: Progress, tolerance: Scalar) -> Bool[Array, ""]:
         r = progress.residuals
         proof = jnp.minimum(r.infeasibility, r.unboundedness)
         return (
-            (r.error <= self.tolerance)
+            (r.error <= tolerance)
             | (proof <= self.proof_tolerance)
             | progress.stalled
             | progress.broken

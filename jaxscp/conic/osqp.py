@@ -23,6 +23,7 @@ import scipy
 from jaxscp.conic.program import ConicSolution, Multipliers, StagedProgram
 from jaxscp.conic.quadratic import DEFAULT_FACETS, QuadraticProgram, quadratic_form
 from jaxscp.status import Status, StatusCode
+from jaxscp.types import Scalar
 
 # OSQP's own codes and what they are here; any other (a time limit, an interrupt) is too little progress.
 _MEANING = {
@@ -104,8 +105,9 @@ class OSQP(eqx.Module):
     facets: int = eqx.field(default=DEFAULT_FACETS, static=True)
     polish: bool = eqx.field(default=True, static=True)
 
-    def __call__(self, program: StagedProgram) -> ConicSolution:
-        """Solve a program; ``z`` is always finite, ``status`` says what it is worth."""
+    def __call__(self, program: StagedProgram, accuracy: Scalar | float = 0.0) -> ConicSolution:
+        """Solve a program, to the tolerance whatever accuracy is enough; ``z`` is always finite, ``status`` says what
+        it is worth."""
         given = (program.gradient, program.links.offset, program.rows.offset)
         like = jax.tree.map(_shape, (*given, tuple(cone.offset for cone in program.cones)))
         count = jax.ShapeDtypeStruct((), jnp.int32)

@@ -80,27 +80,28 @@ def _numbers_fit(program: StagedProgram) -> bool:
     return program.gradient.dtype == jnp.float64 and few and program.links.soft.shape[1] > 0
 
 
-def call(program: StagedProgram, cost: Scalar, **settings: float | int):
+def call(program: StagedProgram, cost: Scalar, tolerance: Scalar, **settings: float | int):
     """Solve an equilibrated program on a CPU.
 
     Args:
         program: in float64.
         cost: what its cost was multiplied by.
+        tolerance: relative gap and residuals at which it counts as solved.
         settings: of the ``InteriorPoint``, by its own names.
 
     Returns:
         The arrays of the last iterate, (x, y, s, tau, kappa), then error, infeasibility, unboundedness, iterations,
         stalled, broken; the zero cone's slack, which is zero, is left out.
     """
-    return _call(TARGET, program, cost, settings)
+    return _call(TARGET, program, cost, tolerance, settings)
 
 
-def call_on_gpu(program: StagedProgram, cost: Scalar, **settings: float | int):
+def call_on_gpu(program: StagedProgram, cost: Scalar, tolerance: Scalar, **settings: float | int):
     """Solve an equilibrated program on the GPU that is JAX's default device; see ``call``."""
-    return _call(gpu.TARGET, program, cost, settings | gpu.attributes(program))
+    return _call(gpu.TARGET, program, cost, tolerance, settings | gpu.attributes(program))
 
 
-def _call(target: str, program: StagedProgram, cost: Scalar, attributes: dict):
+def _call(target: str, program: StagedProgram, cost: Scalar, tolerance: Scalar, attributes: dict):
     q, b = kkt.linear_cost(program), kkt.right_side(program)
     like = lambda v: jax.ShapeDtypeStruct(v.shape, v.dtype)  # noqa: E731
     scalar, flag = jax.ShapeDtypeStruct((), jnp.float64), jax.ShapeDtypeStruct((), jnp.bool_)
@@ -116,7 +117,7 @@ def _call(target: str, program: StagedProgram, cost: Scalar, attributes: dict):
         links.soft,
         links.weight,
     ]
-    arrays += [program.rows.matrix, program.rows.offset, cost]
+    arrays += [program.rows.matrix, program.rows.offset, cost, tolerance]
     for cone in program.cones:
         arrays += [cone.matrix, cone.offset]
     if norm is not None:

@@ -15,12 +15,13 @@ using Input = Lanes<const double>;
 using Output = Lanes<double>;
 
 // Of what a handler passes to a kernel: to be raised with every change of ``Batch``, as either may be of another time.
-constexpr long long kVersion = 1;
+constexpr long long kVersion = 2;
 
 struct Batch {
   long long lanes;
   Settings settings;
-  Input hessian, gradient, before, after, link_offset, soft, link_weight, row_matrix, row_offset, cost_scale;
+  Input hessian, gradient, before, after, link_offset, soft, link_weight, row_matrix, row_offset, cost_scale,
+      tolerance;
   Input cone_matrix[kMaxGroups], cone_offset[kMaxGroups];
   Input norm_weight, norm_scale, norm_centre;
   Output z, xi, zeta, y_zero, y_orthant, y_second, s_orthant, s_second, tau, kappa, error, infeasibility, unboundedness;
@@ -60,7 +61,7 @@ inline void put_cones(const Program& p, Packs from, int cones, int width, double
 
 inline void solve_lane(const Batch& batch, long long lane, Program& program, InteriorPoint& solver) {
   program.read(given(batch, program.sizes.groups, lane));
-  solver.run(*batch.cost_scale.of(lane));
+  solver.run(*batch.cost_scale.of(lane), *batch.tolerance.of(lane));
 
   const Program& p = program;
   const Iterate& v = solver.iterate();

@@ -29,7 +29,7 @@ inline ffi::ErrorOr<Shaped> shaped(ffi::RemainingArgs args, ffi::RemainingRets r
     if (!v.has_value()) error = v.error();
     return v.has_value() ? static_cast<int>(*v) : 0;
   };
-  b.settings = {number("tolerance"),      number("proof_tolerance"), number("loose_tolerance"),
+  b.settings = {number("proof_tolerance"), number("loose_tolerance"),
                 number("regularisation"), integer("max_iterations"), integer("refinements")};
   s.sizes.has_norm = integer("has_norm") != 0;
 
@@ -56,6 +56,7 @@ inline ffi::ErrorOr<Shaped> shaped(ffi::RemainingArgs args, ffi::RemainingRets r
   argument(next++, b.row_matrix);
   argument(next++, b.row_offset, nullptr, &s.sizes.rows);
   argument(next++, b.cost_scale);
+  argument(next++, b.tolerance);
   s.sizes.groups = static_cast<int>(args.size() - next - (s.sizes.has_norm ? 3 : 0)) / 2;
   if (s.sizes.groups > kMaxGroups) return ffi::Unexpected(ffi::Error::InvalidArgument("too many groups of cones"));
   int cones = 2;

@@ -6,7 +6,7 @@
 namespace jaxscp {
 
 struct Settings {
-  double tolerance, proof_tolerance, loose_tolerance, regularisation;
+  double proof_tolerance, loose_tolerance, regularisation;
   int max_iterations, refinements;
   bool operator==(const Settings&) const = default;
 };
@@ -37,10 +37,10 @@ class InteriorPoint {
     xi_ = arena.take(iterate_.x.size), gradient_ = arena.take(iterate_.x.size);
   }
 
-  void run(double cost_scale) {
+  void run(double cost_scale, double tolerance) {
     double q = most(1.0, program_.largest_of(program_.q, program_.primal));
     double b = most(1.0, program_.largest_of(program_.b, program_.cone));
-    once([&] { cost_scale_ = cost_scale, size_q_ = q, size_b_ = b; });
+    once([&] { cost_scale_ = cost_scale, tolerance_ = tolerance, size_q_ = q, size_b_ = b; });
     start();
     measure(iterate_, residuals_);
     once([&] {
@@ -59,7 +59,7 @@ class InteriorPoint {
  private:
   bool finished() const {
     const Residuals& r = residuals_;
-    return r.error <= settings_.tolerance || r.infeasibility <= settings_.proof_tolerance ||
+    return r.error <= tolerance_ || r.infeasibility <= settings_.proof_tolerance ||
            r.unboundedness <= settings_.proof_tolerance || stalled || broken || iterations >= settings_.max_iterations;
   }
 
@@ -263,7 +263,7 @@ class InteriorPoint {
   Iterate iterate_, next_, affine_, direction_, constant_;
   Residuals residuals_, new_residuals_;
   Packs point_, square_, target_, lifted_, ry_, dual_, hessian_x_, rx_, xi_, gradient_;
-  double cost_scale_ = 1.0, size_q_ = 1.0, size_b_ = 1.0, slope_ = 0.0;
+  double cost_scale_ = 1.0, tolerance_ = 0.0, size_q_ = 1.0, size_b_ = 1.0, slope_ = 0.0;
 };
 
 }  // namespace jaxscp
