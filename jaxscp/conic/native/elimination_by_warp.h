@@ -1,8 +1,7 @@
 // What ``elimination.h`` does, by the lanes of a warp together.
 //
-// A panel is held by columns. Lane i has row i while the columns are eliminated one after another, and rows 32 + i and
-// so on if there are more, in its registers as far as there are enough. The leading rows end as L'^-1 in place of L, so
-// that solutions are products.
+// A panel is held by columns. Lane i has row i in its registers while the columns are eliminated one after another. The
+// leading rows end as M = L'^-1 in place of L, so that solutions are products, and so are rows that have no lane.
 #pragma once
 
 #include "layout.h"
@@ -24,45 +23,49 @@ inline double& entry(PanelShape<kSize, kRows>, double* panel, int i, int j) {
   return panel[j * kRows + i];
 }
 
+// K = B M for the rows from the 32nd on: to hold two rows at once would take more registers than a lane has.
+template <int kSize, int kRows>
+JAXSCP_CALLED void eliminate_the_rest(double* panel) {
+#pragma unroll 1
+  for (int i = kWarp + lane_of_warp(); i < kRows; i += kWarp) {
+    double row[kSize];
+#pragma unroll
+    for (int j = 0; j < kSize; ++j) row[j] = panel[j * kRows + i];
+#pragma unroll
+    for (int j = kSize - 1; j >= 0; --j) {
+      double sums[2] = {};
+#pragma unroll
+      for (int k = 0; k <= j; ++k) sums[k % 2] += row[k] * panel[j * kRows + k];
+      panel[j * kRows + i] = sums[0] + sums[1];
+    }
+  }
+  __syncwarp();
+}
+
 template <int kSize, int kRows>
 JAXSCP_CALLED void eliminate(PanelShape<kSize, kRows>, double* panel) {
   static_assert(kSize <= kWarp && 4 * kSize <= kPassed, "a lane for each leading row");
-  constexpr int kHeld = (kRows + kWarp - 1) / kWarp;
   const int lane = lane_of_warp();
-  double row[kHeld][kSize];  // from the column on that is next
+  double row[kSize];  // from the column on that is next
 #pragma unroll
-  for (int h = 0; h < kHeld; ++h)
-#pragma unroll
-    for (int j = 0; j < kSize; ++j) {
-      int i = h * kWarp + lane;
-      row[h][j] = i < kRows ? panel[j * kRows + i] : 0.0;
-    }
+  for (int j = 0; j < kSize; ++j) row[j] = lane < kRows ? panel[j * kRows + lane] : 0.0;
   for (int i = lane; i < 4 * kSize; i += kWarp) passed()[i] = 0.0;
   __syncwarp();
 #pragma unroll 1
   for (int j = 0; j < kSize; ++j) {
-    double scale = rsqrt(__shfl_sync(kEvery, row[0][0], j));
+    double scale = rsqrt(__shfl_sync(kEvery, row[0], j));
     double* column = passed() + j % 2 * 2 * kSize;  // zero from kSize on
     // what lane j has of A is spent: from here on it has a row of the identity, as if that had been below
     bool spent = lane == j;
-    double first[kHeld];
-#pragma unroll
-    for (int h = 0; h < kHeld; ++h) first[h] = (h == 0 && spent ? 1.0 : row[h][0]) * scale;
-    if (lane < kSize) column[lane] = first[0];
-#pragma unroll
-    for (int h = 0; h < kHeld; ++h) {
-      int i = h * kWarp + lane;
-      if (i < kRows) panel[j * kRows + i] = i >= kSize || i <= j ? first[h] : 0.0;
-    }
+    double first = (spent ? 1.0 : row[0]) * scale;
+    if (lane < kSize) column[lane] = first;
+    if (lane < kRows) panel[j * kRows + lane] = lane >= kSize || lane <= j ? first : 0.0;
     __syncwarp();
 #pragma unroll
-    for (int l = 1; l < kSize; ++l) {
-      double factor = column[j + l];
-#pragma unroll
-      for (int h = 0; h < kHeld; ++h) row[h][l - 1] = (h == 0 && spent ? 0.0 : row[h][l]) - first[h] * factor;
-    }
+    for (int l = 1; l < kSize; ++l) row[l - 1] = (spent ? 0.0 : row[l]) - first * column[j + l];
   }
   __syncwarp();
+  if constexpr (kRows > kWarp) eliminate_the_rest<kSize, kRows>(panel);
 }
 
 // 8 x 8 sums of products of 8 x 4 and 4 x 8 numbers, which tensor cores add to; a lane has two neighbours of a row.

@@ -19,9 +19,8 @@ from jaxscp.conic.program import StagedProgram
 TARGET = "jaxscp_interior_point_on_gpu"
 OLDEST = (8, 0)  # compute capability: the first whose tensor cores add float64
 THREADS = 256  # that solve a program together
-BLOCKS = 3  # programs that a multiprocessor has at once
+BLOCKS = 4  # programs that a multiprocessor has at once
 WARP = 32
-LARGEST = 96  # float64 numbers of a panel that a thread holds
 
 
 class Sizes(NamedTuple):
@@ -42,11 +41,8 @@ class Sizes(NamedTuple):
 
     @property
     def fit(self) -> bool:
-        """Whether a warp can eliminate the nodes and links: a lane holds a row of each, or two or three."""
-        held = lambda rows: -(-rows // WARP)  # noqa: E731
-        node = held(self.variables + 2 * self.link_rows) * self.variables
-        link = held(3 * self.link_rows) * self.link_rows
-        return max(self.variables, self.link_rows) <= WARP and max(node, link) <= LARGEST
+        """Whether a warp can eliminate the nodes and links: a lane for each row that is eliminated."""
+        return max(self.variables, self.link_rows) <= WARP
 
 
 def sizes_of(program: StagedProgram) -> Sizes:
