@@ -80,6 +80,7 @@ struct Loaded {
   long long room = 0;  // numbers that a program and its solver take
   long long version = 0, batch = 0;  // as ``jaxscp_room`` says
   int multiprocessors = 0;
+  long long grid = 1ll << 30;  // at most: that there was memory for before
 };
 
 Loaded load(const Driver& cuda, ffi::Span<const uint8_t> image, CUstream stream, void* scratch, Failure& failure) {
@@ -144,8 +145,15 @@ ffi::Error solve(CUstream stream, ffi::ScratchAllocator scratch, ffi::RemainingA
     if (failure.code == 0) kept.emplace(key, loaded);
   }
   if (failure.code == 0 && found->batch.lanes > 0) {
-    long long grid = std::min<long long>(found->batch.lanes, *blocks * loaded.multiprocessors);
-    auto memory = scratch.Allocate(kCounter + grid * loaded.room * sizeof(double), kAlignment);
+    long long grid = std::min<long long>({found->batch.lanes, *blocks * loaded.multiprocessors, loaded.grid});
+    auto find = [&] { return scratch.Allocate(kCounter + grid * loaded.room * sizeof(double), kAlignment); };
+    auto memory = find();
+    bool enough = memory.has_value();
+    for (; !memory && grid > 1; memory = find()) grid /= 2;  // with little memory, fewer programs at once
+    if (!enough) {  // XLA waits for memory for seconds before it says so: not again
+      std::lock_guard<std::mutex> hold(lock);
+      kept[key].grid = grid;
+    }
     if (!memory) {
       failure(kOutOfMemory, "finding memory for it");
     } else {
