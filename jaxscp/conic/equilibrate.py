@@ -45,8 +45,8 @@ def equilibrate(program: StagedProgram, rounds: int = 3) -> tuple[StagedProgram,
         tuple(jnp.ones_like(cone.offset[..., 0]) for cone in program.cones),
         jnp.ones((), program.gradient.dtype),
     )
-    for _ in range(rounds):
-        scales = _refine(scaled_by(program, scales), scales)
+    # a loop, since the compiler would do a round again wherever the next one reads of it
+    scales = jax.lax.fori_loop(0, rounds, lambda _, s: _refine(scaled_by(program, s), s), scales)
     return scaled_by(program, scales), scales
 
 

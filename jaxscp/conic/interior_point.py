@@ -19,7 +19,7 @@ from jaxscp.conic.equilibrate import Scales, equilibrate
 from jaxscp.conic.kkt import Primal
 from jaxscp.conic.program import ConicSolution, Multipliers, StagedProgram
 from jaxscp.status import Status, StatusCode
-from jaxscp.types import Scalar
+from jaxscp.types import Count, Scalar
 
 
 class Iterate(eqx.Module):
@@ -89,6 +89,8 @@ class InteriorPoint(eqx.Module):
         max_iterations: Newton steps allowed.
         regularisation: added to the diagonal of the (equilibrated) system; its effect is refined away.
         refinements: rounds of iterative refinement for each right-hand side.
+        refine_below: error, or that of a proof, from which on there is refinement: far from the end the digits that it
+            brings back are not missed.
         equilibration: rounds of Ruiz scaling.
         compiled: whether ``conic.native`` may run the loop.
     """
@@ -99,6 +101,7 @@ class InteriorPoint(eqx.Module):
     max_iterations: int = eqx.field(default=50, static=True)
     regularisation: float = eqx.field(default=1e-11, static=True)
     refinements: int = eqx.field(default=1, static=True)
+    refine_below: float = eqx.field(default=1e-3, static=True)
     equilibration: int = eqx.field(default=3, static=True)
     compiled: bool = eqx.field(default=True, static=True)
 
@@ -156,6 +159,7 @@ class InteriorPoint(eqx.Module):
             "regularisation",
             "max_iterations",
             "refinements",
+            "refine_below",
         )
         settings = {name: getattr(self, name) for name in names}
         found = call(program, scales.cost, tolerance, **settings)
@@ -210,7 +214,9 @@ class InteriorPoint(eqx.Module):
 
     def _step(self, program: StagedProgram, scales: Scales, progress: Progress) -> Progress:
         old, r = progress.iterate, progress.residuals
-        newton = _Newton(program, old, self.regularisation, self.refinements)
+        near = jnp.minimum(r.error, jnp.minimum(r.infeasibility, r.unboundedness)) < self.refine_below
+        refinements = jnp.where(near, self.refinements, 0) if self.refinements else 0
+        newton = _Newton(program, old, self.regularisation, refinements)
 
         affine = newton.predictor(r)
         sigma = (1.0 - _longest_step(old, affine)) ** 3
@@ -253,7 +259,9 @@ def restored(
 class _Newton:
     """Newton directions of the embedding at one iterate."""
 
-    def __init__(self, program: StagedProgram, iterate: Iterate, regularisation: float, refinements: int):
+    def __init__(
+        self, program: StagedProgram, iterate: Iterate, regularisation: float, refinements: Count | int
+    ):
         self.program, self.iterate = program, iterate
         self.scaling = cones.scaling(iterate.s, iterate.y)
         self.scaled_point = self.scaling.apply(iterate.y)

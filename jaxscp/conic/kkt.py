@@ -20,6 +20,7 @@ from jaxscp.conic import block_tridiagonal
 from jaxscp.conic.batched import gram, inverse_factor, times, times_transposed, transpose_times
 from jaxscp.conic.cones import ConeVector, Scaling, SecondOrderScaling, tree_axpy
 from jaxscp.conic.program import Multipliers, StagedProgram
+from jaxscp.types import Count
 
 
 class Primal(eqx.Module):
@@ -211,7 +212,12 @@ def _tail_head(w: SecondOrderScaling) -> Float[Array, "chain n"]:
 
 
 def solve(
-    program: StagedProgram, scaling: Scaling, factor: Factor, rx: Primal, ry: ConeVector, refinements: int
+    program: StagedProgram,
+    scaling: Scaling,
+    factor: Factor,
+    rx: Primal,
+    ry: ConeVector,
+    refinements: Count | int,
 ) -> tuple[Primal, ConeVector]:
     """Solve the full system for one right-hand side.
 
@@ -228,7 +234,7 @@ def solve(
         )
         return tree_axpy(1.0, dx, x), tree_axpy(1.0, dy, y)
 
-    if refinements == 0:
+    if isinstance(refinements, int) and refinements == 0:
         return _solve_once(program, scaling, factor, rx, ry)
     zero = jax.tree.map(jnp.zeros_like, (rx, ry))  # from here the first round solves, the others refine
     return jax.lax.fori_loop(0, 1 + refinements, refine, zero)

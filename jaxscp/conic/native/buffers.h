@@ -30,7 +30,7 @@ inline ffi::ErrorOr<Shaped> shaped(ffi::RemainingArgs args, ffi::RemainingRets r
     return v.has_value() ? static_cast<int>(*v) : 0;
   };
   b.settings = {number("proof_tolerance"), number("loose_tolerance"),
-                number("regularisation"), integer("max_iterations"), integer("refinements")};
+                number("regularisation"), number("refine_below"), integer("max_iterations"), integer("refinements")};
   s.sizes.has_norm = integer("has_norm") != 0;
 
   // axes from the end: of the last, one

@@ -6,7 +6,7 @@
 namespace jaxscp {
 
 struct Settings {
-  double proof_tolerance, loose_tolerance, regularisation;
+  double proof_tolerance, loose_tolerance, regularisation, refine_below;
   int max_iterations, refinements;
   bool operator==(const Settings&) const = default;
 };
@@ -63,6 +63,12 @@ class InteriorPoint {
            r.unboundedness <= settings_.proof_tolerance || stalled || broken || iterations >= settings_.max_iterations;
   }
 
+  // Far from the end the digits that cones near their boundary take from a solution are not missed.
+  int refinements() const {
+    const Residuals& r = residuals_;
+    return least(r.error, least(r.infeasibility, r.unboundedness)) < settings_.refine_below ? settings_.refinements : 0;
+  }
+
   // The point that solves the program with its cones replaced by a least-squares penalty.
   JAXSCP_CALLED void start() {
     const Program& g = program_;
@@ -106,7 +112,8 @@ class InteriorPoint {
     jordan(point_, point_, square_);
     right_side(1.0, square_);
     share(xi_.size, [&](int i) { dual_[i] = -g.q[i]; });
-    system_.solve<2>(scaling_, settings_.refinements,
+    const int rounds = refinements();
+    system_.solve<2>(scaling_, rounds,
                      {{dual_, g.b, constant_.x, constant_.y}, {rx_, ry_, affine_.x, affine_.y}});
     double constant_slope = slope();
     once([&] { slope_ = constant_slope; });
@@ -122,7 +129,7 @@ class InteriorPoint {
     g.each([&](int p, int i) { at(target_, p)[i] -= centre; },
            [&](int p, int i, int, int) { at(target_, p)[i] -= centre; });
     right_side(1.0 - sigma, target_);
-    system_.solve<1>(scaling_, settings_.refinements, {{rx_, ry_, direction_.x, direction_.y}});
+    system_.solve<1>(scaling_, rounds, {{rx_, ry_, direction_.x, direction_.y}});
     assemble(1.0 - sigma, old.tau * old.kappa + affine_.tau * affine_.kappa - sigma * r.mu, direction_);
     take(0.99 * longest_step(old, direction_));
   }
