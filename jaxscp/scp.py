@@ -102,7 +102,7 @@ class SCP(eqx.Module):
     tolerance_step: float = 1e-3
     max_iterations: int = eqx.field(default=50, static=True)
     substeps: int = eqx.field(default=10, static=True)
-    conic: Callable[[StagedProgram, Scalar], ConicSolution] = InteriorPoint()
+    conic: Callable[[StagedProgram, Scalar], ConicSolution] = InteriorPoint(tolerance=1e-7)
 
     @property
     def published(self) -> bool:
