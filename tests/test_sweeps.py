@@ -9,7 +9,7 @@ import pytest
 from jaxscp import libraries, runge_kutta
 from jaxscp.airframes import paper_mav
 from jaxscp.dynamics import DoubleIntegrator
-from jaxscp.sweeps import Intervals, compiled, native, passes, sweep, tape, tracing
+from jaxscp.sweeps import Intervals, compiled, native, passes, played, slopes, sweep, tape, tracing
 
 needs_compiled = pytest.mark.skipif(
     not native.available(), reason="the sweep was not compiled: no C++ compiler at installation"
@@ -89,6 +89,17 @@ def test_it_is_the_pass_in_jax(rate, method, priced):
     assert_same(jax.jit(passes.in_jax)(intervals, w, prices), jax.jit(sweep)(intervals, w, prices))
 
 
+@pytest.mark.parametrize("rate", RATES.values(), ids=RATES)
+def test_a_tape_played_by_jax_gives_the_same(rate):
+    """As it is on other devices."""
+    intervals, w, _ = case(*rate, runge_kutta.CLASSICAL, priced=False)
+
+    def by_tape(intervals, w):
+        return passes.Pass(*played.sweep(intervals, slopes.record(intervals, w.shape[1], priced=False), w))
+
+    assert_same(jax.jit(passes.in_jax)(intervals, w, None), jax.jit(by_tape)(intervals, w))
+
+
 @needs_compiled
 @pytest.mark.parametrize("level", libraries.LEVELS)
 def test_every_level_that_runs_here_gives_the_same(level, monkeypatch):
@@ -160,7 +171,7 @@ def test_only_what_can_be_is_not_zero():
     @jax.jit
     def look(rate):
         intervals, w, _ = case(rate, states, controls, runge_kutta.CLASSICAL, False)
-        found.append(compiled.record(intervals, w.shape[1], True))
+        found.append(slopes.record(intervals, w.shape[1], True))
         return 0.0
 
     found = []

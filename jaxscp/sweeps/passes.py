@@ -12,7 +12,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxscp import runge_kutta
-from jaxscp.sweeps import compiled
+from jaxscp.sweeps import compiled, played
+from jaxscp.sweeps.slopes import record
 
 
 class Intervals(eqx.Module):
@@ -59,26 +60,36 @@ def sweep(
     w: Float[Array, "intervals inputs"],
     prices: Float[Array, "intervals steps stages extended"] | None = None,
 ) -> Pass:
-    """Go through intervals once: in C++ where that was built and knows the rate's operations, else in JAX.
+    """Go through intervals once.
 
-    Its derivatives are those of the pass in JAX.
+    Where the rate is arithmetic its operations are found first: C++ plays them on a CPU, if it was compiled, and JAX on
+    other devices. Derivatives are those of the pass in JAX.
     """
     return _sweep(intervals, w, prices)
 
 
 @eqx.filter_custom_jvp
 def _sweep(intervals: Intervals, w: Array, prices: Array | None) -> Pass:
-    call = compiled.prepare(intervals, w, prices)
-    if call is None:
+    only_cpu = jax.default_backend() == "cpu"  # which spares tracing what another device would run
+    slopes = None
+    if compiled.serves(w) or not only_cpu:
+        slopes = record(intervals, w.shape[-1], prices is not None)
+    if slopes is None:
         return in_jax(intervals, w, prices)
-    if jax.default_backend() == "cpu":  # which spares tracing what another device would run
-        return Pass(*call(w, prices))
-    return jax.lax.platform_dependent(
-        w,
-        prices,
-        cpu=lambda w, prices: Pass(*call(w, prices)),
-        default=lambda w, prices: in_jax(intervals, w, prices),
-    )
+
+    def in_cpp(w, prices):
+        return Pass(*compiled.sweep(intervals, slopes, w, prices))
+
+    def by_tape(w, prices):
+        if prices is not None:  # a compiler that fuses curvature does again for every entry what leads to it
+            return in_jax(intervals, w, prices)
+        return Pass(*played.sweep(intervals, slopes, w))
+
+    if only_cpu:
+        return in_cpp(w, prices)
+    if not compiled.serves(w):
+        return by_tape(w, prices)
+    return jax.lax.platform_dependent(w, prices, cpu=in_cpp, default=by_tape)
 
 
 @_sweep.def_jvp

@@ -256,8 +256,11 @@ _MOVES: dict[str, Callable[..., Any]] = {
     "slice": _slice,
     "split": _split,
     "squeeze": lambda a, dimensions: np.squeeze(a, tuple(dimensions)),
+    "stack": lambda *a, axis: np.stack(a, axis),
     "stop_gradient": lambda a: a,
+    "tile": lambda a, reps: np.tile(a, reps),
     "transpose": lambda a, permutation: np.transpose(a, permutation),
+    "unstack": lambda a, axis: [np.squeeze(v, axis) for v in np.split(a, a.shape[axis], axis)],
 }
 
 # Of plain numbers, when no symbol is among them: what identity matrices are made of.
