@@ -136,6 +136,24 @@ def test_lanes_have_their_own_parameters_and_do_not_touch():
 
 
 @needs_compiled
+@pytest.mark.parametrize("which", [0, 1])
+def test_no_number_stays_none(which):
+    """Whichever operand of a maximum or minimum it is."""
+
+    class Bent(eqx.Module):
+        def __call__(self, state, control):
+            x, y = state
+            return jnp.stack([jnp.maximum(x, y), jnp.minimum(x, y), control[0]])
+
+    intervals, w, _ = case(Bent(), 2, 2, runge_kutta.CLASSICAL, False)
+    w = w.at[3, which].set(jnp.nan)
+    assert uses_compiled(sweep, intervals, w)
+    expected, found = (np.isnan(f(intervals, w, None).path) for f in (passes.in_jax, jax.jit(sweep)))
+    assert expected[3].sum() == 4  # both states, of both points that are kept
+    np.testing.assert_array_equal(found, expected)
+
+
+@needs_compiled
 def test_what_is_no_arithmetic_is_left_to_jax():
     class Solves(eqx.Module):
         def __call__(self, state, control):

@@ -148,6 +148,8 @@ class _Run:
             "square": lambda a: graph.product(a, a),
             "select_n": graph.choice,
         }
+        if name == "select_n" and len(inputs) != 3:
+            raise CannotTrace(f"a choice among {len(inputs) - 1}")
         if name in simple:
             return _each(simple[name], *inputs)
         if name in _KNOWN:
@@ -217,12 +219,12 @@ def _broadcast(a: np.ndarray, shape: Any, broadcast_dimensions: Any, **_: Any) -
     return np.broadcast_to(a.reshape(one), shape)
 
 
-def _slice(a: np.ndarray, start_indices: Any, limit_indices: Any, strides: Any) -> np.ndarray:
+def _slice(a: np.ndarray, start_indices: Any, limit_indices: Any, strides: Any, **_: Any) -> np.ndarray:
     strides = strides or (1,) * a.ndim
     return a[tuple(map(slice, start_indices, limit_indices, strides))]
 
 
-def _pad(a: np.ndarray, value: np.ndarray, padding_config: Any) -> np.ndarray:
+def _pad(a: np.ndarray, value: np.ndarray, padding_config: Any, **_: Any) -> np.ndarray:
     if any(low < 0 or high < 0 for low, high, _ in padding_config):
         raise CannotTrace("padding by less than nothing")
     shape = [
@@ -238,7 +240,7 @@ def _pad(a: np.ndarray, value: np.ndarray, padding_config: Any) -> np.ndarray:
     return whole
 
 
-def _split(a: np.ndarray, sizes: Any, axis: int) -> list[np.ndarray]:
+def _split(a: np.ndarray, sizes: Any, axis: int, **_: Any) -> list[np.ndarray]:
     return np.split(a, np.cumsum(sizes)[:-1], axis)
 
 
@@ -247,20 +249,20 @@ _CALLS = ("jit", "pjit", "closed_call", "custom_jvp_call", "custom_vjp_call", "r
 # Where numbers go, and not what they become.
 _MOVES: dict[str, Callable[..., Any]] = {
     "broadcast_in_dim": _broadcast,
-    "concatenate": lambda *a, dimension: np.concatenate(a, dimension),
-    "copy": lambda a: a,
-    "expand_dims": lambda a, dimensions: np.expand_dims(a, dimensions),
+    "concatenate": lambda *a, dimension, **_: np.concatenate(a, dimension),
+    "copy": lambda a, **_: a,
+    "expand_dims": lambda a, dimensions, **_: np.expand_dims(a, dimensions),
     "pad": _pad,
     "reshape": lambda a, new_sizes, **_: a.reshape(new_sizes),
-    "rev": lambda a, dimensions: np.flip(a, dimensions),
+    "rev": lambda a, dimensions, **_: np.flip(a, dimensions),
     "slice": _slice,
     "split": _split,
-    "squeeze": lambda a, dimensions: np.squeeze(a, tuple(dimensions)),
-    "stack": lambda *a, axis: np.stack(a, axis),
-    "stop_gradient": lambda a: a,
-    "tile": lambda a, reps: np.tile(a, reps),
-    "transpose": lambda a, permutation: np.transpose(a, permutation),
-    "unstack": lambda a, axis: [np.squeeze(v, axis) for v in np.split(a, a.shape[axis], axis)],
+    "squeeze": lambda a, dimensions, **_: np.squeeze(a, tuple(dimensions)),
+    "stack": lambda *a, axis, **_: np.stack(a, axis),
+    "stop_gradient": lambda a, **_: a,
+    "tile": lambda a, reps, **_: np.tile(a, reps),
+    "transpose": lambda a, permutation, **_: np.transpose(a, permutation),
+    "unstack": lambda a, axis, **_: [np.squeeze(v, axis) for v in np.split(a, a.shape[axis], axis)],
 }
 
 # Of plain numbers, when no symbol is among them: what identity matrices are made of.
@@ -268,8 +270,8 @@ _PLAIN: dict[str, Callable[..., Any]] = {
     "iota": lambda dtype, shape, dimension, **_: np.broadcast_to(
         np.arange(shape[dimension]).reshape([-1 if i == dimension else 1 for i in range(len(shape))]), shape
     ),
-    "add": np.add,
-    "eq": np.equal,
+    "add": lambda a, b, **_: np.add(a, b),
+    "eq": lambda a, b, **_: np.equal(a, b),
     "convert_element_type": lambda a, new_dtype, **_: a.astype(new_dtype),
 }
 

@@ -69,9 +69,9 @@ inline void play(const Operation* at, const Operation* end, Wide* v) {
       case kExp: to = each(a, [](double x) { return std::exp(x); }); break;
       case kLog: to = each(a, [](double x) { return std::log(x); }); break;
       case kTanh: to = each(a, [](double x) { return std::tanh(x); }); break;
-      // no number stays none
-      case kMax: to = both(a, b, [](Pack x, Pack y) { return where(x != x, x, larger(y, x)); }); break;
-      case kMin: to = both(a, b, [](Pack x, Pack y) { return where(x != x, x, smaller(y, x)); }); break;
+      // no number stays none, whichever it is
+      case kMax: to = both(a, b, [](Pack x, Pack y) { return where(x != x, x, where(y <= x, x, y)); }); break;
+      case kMin: to = both(a, b, [](Pack x, Pack y) { return where(x != x, x, where(y >= x, x, y)); }); break;
       case kAbs: to = {magnitude(a.low), magnitude(a.high)}; break;
       case kLess: to = both(a, b, [](Pack x, Pack y) { return truth(x < y); }); break;
       case kLessEqual: to = both(a, b, [](Pack x, Pack y) { return truth(x <= y); }); break;
