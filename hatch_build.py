@@ -12,7 +12,6 @@ from pathlib import Path
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 SHARED = Path("jaxscp/libraries")
-INCLUDED = (SHARED, Path("jaxscp/conic/native"))
 LIBRARIES = {  # with what is compiled for a level of the instruction set, and what for any
     Path("jaxscp/conic/native/interior_point"): (("handler",), ("gpu_handler",)),
     Path("jaxscp/sweeps/native/sweep"): (("handler",), ()),
@@ -54,7 +53,6 @@ class NativeBuild(BuildHookInterface):
 def compile_library(compiler: str, root: Path, stem: Path, level: str, machine: tuple[str, ...]) -> Path:
     """Build one level. What asks the processor for its instructions must not use them, so it is compiled for any."""
     headers = Path(importlib.util.find_spec("jaxlib").submodule_search_locations[0]) / "include"
-    includes = [f"-I{root / folder}" for folder in INCLUDED]
     folder = (root / stem).parent
     of_level, of_any = LIBRARIES[stem]
     number = level.removeprefix("v") if machine else "0"
@@ -65,7 +63,7 @@ def compile_library(compiler: str, root: Path, stem: Path, level: str, machine: 
     with tempfile.TemporaryDirectory() as scratch:
         objects = [Path(scratch) / f"{source.stem}.o" for source in sources]
         for made, (source, flags) in zip(objects, sources.items(), strict=True):
-            run(compiler, *FLAGS, *flags, *includes, "-isystem", headers, "-c", source, "-o", made)
+            run(compiler, *FLAGS, *flags, f"-I{root / SHARED}", "-isystem", headers, "-c", source, "-o", made)
         run(compiler, "-shared", *objects, "-ldl", "-o", library)
     return library
 

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from jaxscp import runge_kutta
 from jaxscp.problem import OptimalControlProblem
-from jaxscp.sweeps import Intervals, sweep
+from jaxscp.sweeps import Intervals, controls_at, sweep
 
 METHOD = runge_kutta.CLASSICAL
 
@@ -57,19 +57,11 @@ def discretise(
 
 def propagate(problem: OptimalControlProblem, z: Float[Array, "nodes variables"], substeps: int):
     """End states and running costs of every interval, without derivatives."""
-    return jax.vmap(lambda w: interval_flow(problem, w, substeps))(interval_inputs(problem, z))
+    n = problem.state_size
 
+    def end(w):
+        rate = lambda share, extended: problem.slope(extended[:n], controls_at(w, n, share))  # noqa: E731
+        return runge_kutta.integrate(METHOD, rate, jnp.append(w[:n], 0.0), substeps)[-1]
 
-def interval_flow(problem: OptimalControlProblem, w: Float[Array, "inputs"], substeps: int):
-    """State at the end of one interval and the running cost over it."""
-    n, size = problem.state_size, 1.0 / substeps
-    first, last = jnp.split(w[n:], 2)
-
-    def rate(share, extended):
-        return problem.slope(extended[:n], first + share * (last - first))
-
-    def forward(extended, share):
-        return runge_kutta.step(METHOD, rate, share, extended, size)[0], None
-
-    end, _ = jax.lax.scan(forward, jnp.append(w[:n], 0.0), size * jnp.arange(substeps, dtype=w.dtype))
-    return end[:n], end[n]
+    ends = jax.vmap(end)(interval_inputs(problem, z))
+    return ends[:, :n], ends[:, n]

@@ -17,6 +17,7 @@ from jaxscp import runge_kutta
 from jaxscp.constraints import AcrossIntervals, AtNodes, Constraint, SecondOrder
 from jaxscp.discretise import interval_inputs
 from jaxscp.problem import OptimalControlProblem
+from jaxscp.sweeps import controls_at
 from jaxscp.types import Scalar
 
 METHOD = runge_kutta.SIXTH_ORDER
@@ -136,18 +137,12 @@ def fly(problem: OptimalControlProblem, w: Float[Array, "inputs"], grid: Grid, p
         push: (all steps, stages, states + 1), added to the slopes of the stages; of use for its derivatives.
     """
     n = problem.state_size
-    size = 1.0 / grid.all_steps
 
     @jax.checkpoint  # reverse mode keeps no more of a stage than its state
     def rate(share, extended):
-        return problem.slope(extended[:n], controls_at(problem, w, share))
+        return problem.slope(extended[:n], controls_at(w, n, share))
 
-    def forward(extended, at):
-        extended, _ = runge_kutta.step(METHOD, rate, at[0], extended, size, at[1])
-        return extended, extended
-
-    begins = size * jnp.arange(grid.all_steps, dtype=w.dtype)
-    _, path = jax.lax.scan(forward, jnp.append(w[:n], 0.0), (begins, push))
+    path = runge_kutta.integrate(METHOD, rate, jnp.append(w[:n], 0.0), grid.all_steps, push)
     return at_points(problem, w, grid, path[grid.steps - 1 :: grid.steps])
 
 
@@ -161,14 +156,7 @@ def at_points(
     every point but the first."""
     n = problem.state_size
     share = jnp.linspace(0.0, 1.0, grid.points + 1, dtype=w.dtype)
-    return jnp.concatenate([w[None, :n], path[:, :n]]), controls_at(problem, w, share), path[-1, n]
-
-
-def controls_at(problem: OptimalControlProblem, w: Float[Array, "inputs"], share: Float[Array, "*b"]):
-    """Controls, with dilation, at shares of the interval."""
-    n, m = problem.state_size, problem.dynamics.control_size + 1
-    first, last = w[n : n + m], w[n + m :]
-    return first + share[..., None] * (last - first)
+    return jnp.concatenate([w[None, :n], path[:, :n]]), controls_at(w, n, share), path[-1, n]
 
 
 def _values(problem: OptimalControlProblem, constraint: Constraint, parameters, keep, states, controls):

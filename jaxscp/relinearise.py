@@ -7,11 +7,11 @@ from jaxscp.intervals import (
     Grid,
     Linearisation,
     Outputs,
-    controls_at,
     linearise,
     path_outputs,
 )
 from jaxscp.problem import OptimalControlProblem
+from jaxscp.sweeps import controls_at
 
 
 def relinearise(
@@ -28,7 +28,7 @@ def _outputs(problem: OptimalControlProblem, w: Float[Array, "inputs"], given, g
     shares = jnp.linspace(0.0, 1.0, grid.points + 1, dtype=w.dtype)
 
     def rate(share, extended, w):
-        return problem.slope(extended[:n], controls_at(problem, w, share))
+        return problem.slope(extended[:n], controls_at(w, n, share))
 
     solution = diffeqsolve(
         ODETerm(rate),
@@ -45,4 +45,4 @@ def _outputs(problem: OptimalControlProblem, w: Float[Array, "inputs"], given, g
         throw=False,
     )
     path = jnp.asarray(solution.ys)
-    return path_outputs(problem, path[:, :n], controls_at(problem, w, shares), path[-1, n], given)
+    return path_outputs(problem, path[:, :n], controls_at(w, n, shares), path[-1, n], given)

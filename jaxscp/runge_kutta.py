@@ -52,6 +52,24 @@ SIXTH_ORDER = Method(
 evaluate more than five of these, and err more."""
 
 
+def integrate(
+    method: Method,
+    rate: Callable[..., Array],
+    state: Float[Array, "states"],
+    steps: int,
+    push: Float[Array, "steps stages states"] | None = None,
+) -> Float[Array, "steps states"]:
+    """The states after each of so many steps through a unit of the independent variable; see ``step``."""
+    size = 1.0 / steps
+
+    def forward(state, at):
+        state, _ = step(method, rate, at[0], state, size, at[1])
+        return state, state
+
+    begins = size * jnp.arange(steps, dtype=state.dtype)
+    return jax.lax.scan(forward, state, (begins, push))[1]
+
+
 def step(
     method: Method,
     rate: Callable[..., Array],

@@ -45,7 +45,7 @@ def emulated(program, folder: Path) -> ctypes.CDLL:
     # else a process has only once what a block shares, for kernels of all sizes
     flags += ["-fno-gnu-unique"]
     defined = [f"-DJAXSCP_SIZES={gpu.sizes_of(program)}", f"-DJAXSCP_THREADS={THREADS}"]
-    found = ["-isystem", headers, "-I", str(Path(native.__file__).parent)]
+    found = ["-isystem", headers, *(f"-I{Path(module.__file__).parent}" for module in (native, libraries))]
     subprocess.run([COMPILER, *flags, *defined, *found, str(source), "-o", str(library)], check=True)
     return ctypes.CDLL(str(library))
 
@@ -77,6 +77,7 @@ def test_steps_are_the_same_and_lanes_do_not_touch(kernel, monkeypatch):
     batch = jax.tree.map(lambda *v: jnp.stack(v), programs[0], poisoned, programs[2])
     expected = iterate(InteriorPoint(max_iterations=STEPS), batch)
     monkeypatch.setattr(native, "TARGET", name)
+    monkeypatch.setattr(native, "available", lambda: True)
     found = iterate(InteriorPoint(max_iterations=STEPS), batch)
     assert found.broken.tolist() == [False, True, False]
     np.testing.assert_array_equal(found.iterations, expected.iterations)

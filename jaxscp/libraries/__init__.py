@@ -1,7 +1,10 @@
 """Libraries in C++, which are compiled when the package is installed, one for each level of the instruction set.
 
-runs_here.cc   whether this machine has the instructions of a library
-spread.h       work shared among the threads of XLA
+What they share is here too:
+
+    pack.h         a number for eight places or intervals at once
+    runs_here.cc   whether this machine has the instructions of a library
+    spread.h       work shared among the threads of XLA
 """
 
 import ctypes
@@ -14,15 +17,18 @@ import jax
 LEVELS = ("v4", "v3", "any")  # best first: two of x86-64, and what the machine that compiled had
 
 
-def fastest(stem: Path) -> tuple[str, ctypes.CDLL] | None:
-    """The level, and the library of it, that is the best that was compiled and runs here.
+@functools.cache
+def level(stem: Path, handler: str, platform: str = "cpu") -> str | None:
+    """The best level that was compiled and runs here, whose handler XLA then knows by its own name; None without one.
 
     Args:
         stem: of the libraries' files, ``stem_level.so``.
+        handler: what is to be called.
+        platform: where, by XLA's name.
     """
-    for level in LEVELS:
-        if (found := library(stem, level)) is not None:
-            return level, found
+    for name in LEVELS:
+        if (found := library(stem, name)) is not None:
+            return name if register(found, handler, platform) else None
     return None
 
 

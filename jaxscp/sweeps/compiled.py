@@ -4,14 +4,13 @@ XLA runs the tangents of a Runge-Kutta step as hundreds of small operations on a
 zeros are known before, and sixteen intervals go through each operation in a register.
 """
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from jaxscp.sweeps import native
+from jaxscp.sweeps.intervals import Intervals, Pass
 from jaxscp.sweeps.slopes import Slopes
 
 
@@ -30,9 +29,9 @@ def first_inputs(jacobian: np.ndarray, states: int, inputs: int) -> np.ndarray:
 
 
 def sweep(
-    intervals: Any, slopes: Slopes, w: Float[Array, "intervals inputs"], prices: Array | None
-) -> tuple[Array, Array, Array | None]:
-    """The fields of a ``Pass``."""
+    intervals: Intervals, slopes: Slopes, w: Float[Array, "intervals inputs"], prices: Array | None
+) -> Pass:
+    """The pass, with operations already found."""
     n, inputs, priced = intervals.states, w.shape[-1], prices is not None
     kept = intervals.steps // intervals.every
     shapes = [(kept, n + 1), (kept, n + 1, inputs), (inputs, inputs)][: 2 + priced]
@@ -40,7 +39,7 @@ def sweep(
     recorded, method = slopes.tape, intervals.method
     numbers = {
         "states": n,
-        "controls": (inputs - n) // 2,
+        "controls": intervals.controls(inputs),
         "steps": intervals.steps,
         "every": intervals.every,
         "priced": priced,
@@ -60,7 +59,7 @@ def sweep(
         "first": first_inputs(slopes.jacobian, n, inputs),
     }
     arrays = [w, slopes.parameters] + [prices] * priced
-    found = jax.ffi.ffi_call(native.TARGET, results, vmap_method="broadcast_all")(
+    path, tangent, *curvature = jax.ffi.ffi_call(native.TARGET, results, vmap_method="broadcast_all")(
         *arrays, **{name: np.int64(v) for name, v in numbers.items()}, **tables
     )
-    return found[0], found[1], found[2] if priced else None
+    return Pass(path, tangent, curvature[0] if priced else None)

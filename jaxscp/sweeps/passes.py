@@ -4,8 +4,6 @@ With s_j the state and control that slope j is taken at, S_j their Jacobian in t
 price of the slope, the curvature is sum_j S_j' D2(kappa_j . rate)(s_j) S_j.
 """
 
-from collections.abc import Callable
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -13,46 +11,8 @@ from jaxtyping import Array, Float
 
 from jaxscp import runge_kutta
 from jaxscp.sweeps import compiled, played
+from jaxscp.sweeps.intervals import Intervals, Pass, controls_at
 from jaxscp.sweeps.slopes import record
-
-
-class Intervals(eqx.Module):
-    """What a pass goes through, and how.
-
-    An interval's variables are w = (state, first controls, last controls); controls are linear between.
-
-    Args:
-        rate: (state, controls) -> slope of the state by the share of the interval, and of a cost after it; a pytree.
-        states: how many.
-        method: of integration.
-        steps: of an interval.
-        every: of how many steps the last one is kept.
-    """
-
-    rate: Callable[..., Array]
-    states: int = eqx.field(static=True)
-    method: runge_kutta.Method = eqx.field(static=True)
-    steps: int = eqx.field(static=True)
-    every: int = eqx.field(default=1, static=True)
-
-    def __check_init__(self):
-        if self.steps % self.every:
-            raise ValueError(f"every: {self.steps} steps are no multiple of {self.every}")
-
-    def controls(self, w: Float[Array, "inputs"], share: Array) -> Array:
-        """At a share of the interval."""
-        first, last = jnp.split(w[self.states :], 2)
-        return first + share * (last - first)
-
-
-class Pass(eqx.Module):
-    """What was found, the intervals as leading axis. A path has the cost so far after the state."""
-
-    path: Float[Array, "intervals kept extended"]
-    tangent: Float[Array, "intervals kept extended inputs"]
-    """The path's Jacobian."""
-    curvature: Float[Array, "intervals inputs inputs"] | None
-    """Of the slopes at their prices, if these are given."""
 
 
 def sweep(
@@ -71,25 +31,24 @@ def sweep(
 @eqx.filter_custom_jvp
 def _sweep(intervals: Intervals, w: Array, prices: Array | None) -> Pass:
     only_cpu = jax.default_backend() == "cpu"  # which spares tracing what another device would run
-    slopes = None
-    if compiled.serves(w) or not only_cpu:
-        slopes = record(intervals, w.shape[-1], prices is not None)
+    in_cpp = compiled.serves(w)
+    # not the curvature, for each entry of which XLA would do again what leads to it
+    by_tape = not only_cpu and prices is None
+    slopes = record(intervals, w.shape[-1], prices is not None) if in_cpp or by_tape else None
     if slopes is None:
         return in_jax(intervals, w, prices)
 
-    def in_cpp(w, prices):
-        return Pass(*compiled.sweep(intervals, slopes, w, prices))
+    def cpu(w, prices):
+        return compiled.sweep(intervals, slopes, w, prices)
 
-    def by_tape(w, prices):
-        if prices is not None:  # a compiler that fuses curvature does again for every entry what leads to it
-            return in_jax(intervals, w, prices)
-        return Pass(*played.sweep(intervals, slopes, w))
+    def elsewhere(w, prices):
+        return played.sweep(intervals, slopes, w) if by_tape else in_jax(intervals, w, prices)
 
     if only_cpu:
-        return in_cpp(w, prices)
-    if not compiled.serves(w):
-        return by_tape(w, prices)
-    return jax.lax.platform_dependent(w, prices, cpu=in_cpp, default=by_tape)
+        return cpu(w, prices)
+    if not in_cpp:
+        return elsewhere(w, prices)
+    return jax.lax.platform_dependent(w, prices, cpu=cpu, default=elsewhere)
 
 
 @_sweep.def_jvp
@@ -116,11 +75,10 @@ def _one(
         share, price = at
 
         def step(extended, w):
-            rate = lambda share, x: intervals.rate(x[:n], intervals.controls(w, share))  # noqa: E731
+            rate = lambda share, x: intervals.rate(x[:n], controls_at(w, n, share))  # noqa: E731
             after, states = runge_kutta.step(intervals.method, rate, share, extended, size)
             shares = share + size * jnp.asarray(intervals.method.shares, w.dtype)
-            controls = jax.vmap(lambda share: intervals.controls(w, share))(shares)
-            return after, jnp.concatenate([states[:, :n], controls], axis=1)
+            return after, jnp.concatenate([states[:, :n], controls_at(w, n, shares)], axis=1)
 
         push = lambda dx, dw: jax.jvp(step, (extended, w), (dx, dw))  # noqa: E731
         pushed = jax.vmap(push, in_axes=-1, out_axes=(None, -1))(tangent, directions)

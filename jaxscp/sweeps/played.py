@@ -5,67 +5,58 @@ hundreds of operations on small arrays, most of whose entries are zero. This is 
 """
 
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxscp.sweeps import tape
+from jaxscp.sweeps.intervals import Intervals, Pass
 from jaxscp.sweeps.slopes import Slopes
 
-_OPERATIONS: dict[str, Callable[..., Array]] = {
+_UNARY: dict[str, Callable[..., Array]] = {
+    "reciprocal": lambda a: 1.0 / a,
+    "negative": jnp.negative,
+    "abs": jnp.abs,
+    **{name: getattr(jnp, name) for name in ("sqrt", "sin", "cos", "exp", "log", "tanh")},
+}
+_BINARY: dict[str, Callable[..., Array]] = {
     "sum": jnp.add,
     "difference": jnp.subtract,
     "product": jnp.multiply,
-    "reciprocal": lambda a: 1.0 / a,
-    "negative": jnp.negative,
+    "max": jnp.maximum,
+    "min": jnp.minimum,
+    "lt": lambda a, b: jnp.less(a, b).astype(a.dtype),
+    "le": lambda a, b: jnp.less_equal(a, b).astype(a.dtype),
+    "gt": lambda a, b: jnp.greater(a, b).astype(a.dtype),
+    "ge": lambda a, b: jnp.greater_equal(a, b).astype(a.dtype),
+    "eq": lambda a, b: jnp.equal(a, b).astype(a.dtype),
+}
+_TERNARY: dict[str, Callable[..., Array]] = {
     "choice": lambda which, yes, no: jnp.where(which != 0.0, yes, no),
     "multiply_add": lambda a, b, c: a * b + c,
     "multiply_subtract": lambda a, b, c: c - a * b,
-    "max": jnp.maximum,
-    "min": jnp.minimum,
-    "abs": jnp.abs,
-    **{name: getattr(jnp, name) for name in ("sqrt", "sin", "cos", "exp", "log", "tanh")},
-    **{
-        name: lambda a, b, compare=compare: compare(a, b).astype(a.dtype)
-        for name, compare in {
-            "lt": jnp.less,
-            "le": jnp.less_equal,
-            "gt": jnp.greater,
-            "ge": jnp.greater_equal,
-            "eq": jnp.equal,
-        }.items()
-    },
 }
-_OPERANDS = {
-    "sqrt": 1,
-    "sin": 1,
-    "cos": 1,
-    "exp": 1,
-    "log": 1,
-    "tanh": 1,
-    "abs": 1,
-    "reciprocal": 1,
-    "negative": 1,
+_OPERATIONS = {
+    tape.CODES[name]: (count, function)
+    for count, functions in enumerate((_UNARY, _BINARY, _TERNARY), start=1)
+    for name, function in functions.items()
 }
-_OPERANDS |= {"choice": 3, "multiply_add": 3, "multiply_subtract": 3}
 
 
 def play(recorded: tape.Tape, arguments: list[Array], parameters: Float[Array, "parameters"]) -> list[Array]:
     """The outputs of a tape."""
-    names = list(tape.CODES)
     places: dict[int, Array] = dict(enumerate([*arguments, *parameters, *recorded.constants.tolist()]))
     for code, to, *operands in recorded.operations.tolist():
-        name = names[code]
-        places[to] = _OPERATIONS[name](*(places[v] for v in operands[: _OPERANDS.get(name, 2)]))
+        count, function = _OPERATIONS[code]
+        places[to] = function(*(places[v] for v in operands[:count]))
     return [places[v] for v in recorded.outputs.tolist()]
 
 
-def sweep(intervals: Any, slopes: Slopes, w: Float[Array, "intervals inputs"]) -> tuple[Array, Array, None]:
-    """The fields of a ``Pass`` without prices, with operations already found."""
+def sweep(intervals: Intervals, slopes: Slopes, w: Float[Array, "intervals inputs"]) -> Pass:
+    """The pass without prices, with operations already found."""
     n, inputs = intervals.states, w.shape[1]
-    m, size = (inputs - n) // 2, 1.0 / intervals.steps
+    m, size = intervals.controls(inputs), 1.0 / intervals.steps
     method = intervals.method
     columns = w.T
     directions = jnp.eye(inputs, dtype=w.dtype)[:, :, None]
@@ -82,9 +73,9 @@ def sweep(intervals: Any, slopes: Slopes, w: Float[Array, "intervals inputs"]) -
     def stage(share, state, tangent):
         """Slopes, and their tangents."""
         controls = [columns[n + k] + share * (columns[n + m + k] - columns[n + k]) for k in range(m)]
-        moved = [(1.0 - share) * directions[n + k] + share * directions[n + m + k] for k in range(m)]
+        pulled = [(1.0 - share) * directions[n + k] + share * directions[n + m + k] for k in range(m)]
         outputs = play(slopes.tape, [*state[:n], *controls], slopes.parameters)
-        moved = [*tangent[:n], *moved]
+        moved = [*tangent[:n], *pulled]
         pushed = [jnp.zeros_like(row) for row in tangent]
         for (r, k), entry in zip(slopes.jacobian.tolist(), outputs[n + 1 :], strict=True):
             pushed[r] = pushed[r] + entry * moved[k]
@@ -109,6 +100,9 @@ def sweep(intervals: Any, slopes: Slopes, w: Float[Array, "intervals inputs"]) -
     start = [*columns[:n], jnp.zeros_like(columns[0])], [like + directions[r] for r in range(n)] + [like]
     begins = jnp.arange(0, intervals.steps, intervals.every)
     _, (path, tangents) = jax.lax.scan(to_next_kept, start, begins)
-    found = jnp.moveaxis(jnp.stack(path, -1), 1, 0), jnp.transpose(jnp.stack(tangents, -1), (2, 0, 3, 1))
-    # what reads of them is not to put them together from their rows anew
-    return (*jax.lax.optimization_barrier(found), None)
+    found = Pass(
+        jnp.moveaxis(jnp.stack(path, -1), 1, 0), jnp.transpose(jnp.stack(tangents, -1), (2, 0, 3, 1)), None
+    )
+    return jax.lax.optimization_barrier(
+        found
+    )  # what reads of it is not to put it together from its rows anew

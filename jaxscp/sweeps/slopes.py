@@ -1,6 +1,6 @@
 """The operations that the slopes of a stage, and their derivatives, are made of."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxscp.sweeps import tape, tracing
+from jaxscp.sweeps.intervals import Intervals
 
 
 class Slopes(NamedTuple):
@@ -21,10 +22,10 @@ class Slopes(NamedTuple):
     """(entries, 2), of the lower triangle of their price."""
 
 
-def record(intervals: Any, inputs: int, priced: bool) -> Slopes | None:
+def record(intervals: Intervals, inputs: int, priced: bool) -> Slopes | None:
     """Find the operations that slopes and their derivatives are made of; None if they are not arithmetic alone."""
     n = intervals.states
-    arguments = n + (inputs - n) // 2
+    arguments = n + intervals.controls(inputs)
 
     def rate(argument):
         return intervals.rate(argument[:n], argument[n:])

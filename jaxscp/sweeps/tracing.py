@@ -39,8 +39,15 @@ class Traced(NamedTuple):
 
     def parameters(self, which: Sequence[tuple[int, int]]) -> Float[Array, "parameters"]:
         """Values of some parameters."""
-        each = [jnp.ravel(self.known[array])[index] for array, index in which]
-        return jnp.stack(each) if each else jnp.zeros(0)
+        begins, total = {}, 0
+        for array in dict.fromkeys(array for array, _ in which):
+            begins[array], total = total, total + self.known[array].size
+        if not begins:
+            return jnp.zeros(0)
+        values = jnp.concatenate([jnp.ravel(self.known[array]) for array in begins])
+        return values.at[np.array([begins[array] + index for array, index in which])].get(
+            mode="promise_in_bounds"
+        )
 
 
 def trace(function: Callable[..., Any], *shapes: tuple[int, ...]) -> Traced:

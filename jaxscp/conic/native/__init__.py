@@ -5,7 +5,7 @@ XLA runs a Newton step as hundreds of operations on arrays of a few kilobytes, a
 Here a step is a few hundred thousand vector instructions on data that stay in the cache. The files, in the order in
 which they build on each other:
 
-    pack.h layout.h arena.h    eight nodes of the chain in one register; what lies where
+    layout.h arena.h           what lies where, eight nodes of the chain in one register (``libraries/pack.h``)
     threads.h                  who does what: loops on a CPU, phases of a block of threads on a GPU
     elimination.h, elimination_by_warp.h   one panel eliminated, on a CPU and on a GPU
     program.h cones.h chain.h newton_system.h interior_point.h   the method, the same text on both
@@ -17,7 +17,6 @@ The libraries are compiled when the package is installed, if there is a C++ comp
 and in float32, the interior point runs as JAX.
 """
 
-import functools
 from pathlib import Path
 
 import jax
@@ -33,8 +32,6 @@ from jaxscp.types import Scalar
 TARGET = "jaxscp_interior_point"
 TARGETS = (TARGET, gpu.TARGET)
 MAX_GROUPS, MAX_CONES = 32, 256  # of a node, as in ``layout.h``
-
-
 STEM = Path(__file__).with_name("interior_point")
 
 
@@ -43,18 +40,14 @@ def available() -> bool:
     return level() is not None
 
 
-@functools.cache
 def level() -> str | None:
-    """The instruction set that the loop is compiled for here, if it is: ``v4`` and ``v3`` of x86-64, or ``any``."""
-    found = libraries.fastest(STEM)
-    return found[0] if found and libraries.register(found[1], TARGET) else None
+    """The instruction set that the loop is compiled for here, if it is; see ``libraries.LEVELS``."""
+    return libraries.level(STEM, TARGET)
 
 
-@functools.cache
 def available_on_gpu() -> bool:
     """Whether what launches the kernel was compiled for this machine; makes it known to XLA."""
-    found = libraries.fastest(STEM)
-    return found is not None and libraries.register(found[1], gpu.TARGET, "CUDA")
+    return libraries.level(STEM, gpu.TARGET, "CUDA") is not None
 
 
 def runs_here() -> bool:

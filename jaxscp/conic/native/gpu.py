@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from jaxscp import libraries
 from jaxscp.conic.program import StagedProgram
 
 TARGET = "jaxscp_interior_point_on_gpu"
@@ -94,6 +95,7 @@ def kernel(sizes: Sizes, capability: str, threads: int, blocks: int) -> bytes | 
         "--std=c++20",
         "--device-as-default-execution-space",
         f"--include-path={folder}",
+        f"--include-path={Path(libraries.__file__).parent}",
         f"-DJAXSCP_SIZES={sizes}",
         f"-DJAXSCP_THREADS={threads}",
         f"-DJAXSCP_BLOCKS={blocks}",

@@ -1,4 +1,4 @@
-// What XLA calls on a CPU: sweeps the intervals of a batch of flights, eight at once, shared among its threads.
+// What XLA calls on a CPU: sweeps the intervals of a batch of flights, sixteen at once, shared among its threads.
 
 #include "spread.h"
 #include "sweep.h"
@@ -76,6 +76,7 @@ void sweep_pack(const Sweep& s, const Arrays& at, int64_t pack, SweepPack& here)
 ffi::Error sweep(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::RemainingRets rets, ffi::Dictionary attrs) {
   Sweep s;
   if (!read(attrs, s)) return ffi::Error::InvalidArgument("the sweep lacks an attribute");
+  if (s.stages() > kMaxStages) return ffi::Error::InvalidArgument("the Runge-Kutta method has too many stages");
   auto w = args.get<ffi::AnyBuffer>(0), parameters = args.get<ffi::AnyBuffer>(1);
   if (!w.has_value() || !parameters.has_value() || args.size() != (s.priced ? 3u : 2u) ||
       rets.size() != (s.priced ? 3u : 2u))

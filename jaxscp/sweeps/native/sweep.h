@@ -1,8 +1,9 @@
-// One pass through the intervals of a pack: the path, its tangents, and the curvature of the priced slopes.
+// One pass through sixteen intervals: the path, its tangents, and the curvature of the priced slopes.
 //
 // An interval's inputs are w = (state x, first controls, last controls); controls are linear between. The path is the
-// state with the running cost after it, its tangents dX/dw, row by row. ``entry`` of a slope's derivatives come from a
-// tape (``tape.h``), by coordinates; all the rest is the linear algebra of a Runge-Kutta method.
+// state with the running cost after it, its tangents dX/dw, row by row. The entries of a slope's derivatives come from
+// a tape (``tape.h``), by coordinates; all the rest is the linear algebra of a Runge-Kutta method. A row is kept from its
+// first entry that may not be zero.
 #pragma once
 
 #include <utility>
@@ -11,6 +12,8 @@
 #include "tape.h"
 
 namespace jaxscp {
+
+constexpr int kMaxStages = 16;
 
 struct Coordinates {
   int row, column;
@@ -50,7 +53,7 @@ class SweepPack {
       : s_(s), rows_(s.extended()), columns_(s.inputs()), arguments_(s.states + s.controls) {
     std::pair<Wide**, int> arrays[] = {
         {&w_, columns_}, {&places_, s.places}, {&path_, rows_}, {&slopes_, s.stages() * rows_},
-        {&tangent_, rows_ * columns_}, {&moved_, arguments_ * columns_}, {&pushed_, s.stages() * rows_ * columns_},
+        {&tangent_, rows_ * columns_}, {&moved_, s.states * columns_}, {&pushed_, s.stages() * rows_ * columns_},
         {&turned_, arguments_ * columns_}, {&curvature_, columns_ * columns_}};
     size_t total = 0;
     for (auto [to, count] : arrays) total += count;
@@ -87,8 +90,6 @@ class SweepPack {
     for (int i = 0; i < s_.constants.count; ++i) parameter(s_.parameters + i) = wide(s_.constants[i]);
     play(s_.operations.begin(), s_.operations.begin() + s_.once, places_);
     std::fill_n(tangent_, rows_ * columns_, wide(0.0));
-    std::fill_n(moved_, arguments_ * columns_, wide(0.0));
-    std::fill_n(pushed_, s_.stages() * rows_ * columns_, wide(0.0));
     std::fill_n(curvature_, columns_ * columns_, wide(0.0));
     for (int r = 0; r < s_.states; ++r) path_[r] = w_[r], tangent_[r * columns_ + r] = wide(1.0);
     path_[s_.states] = wide(0.0);
@@ -98,11 +99,7 @@ class SweepPack {
     const double share = (step + s_.shares[stage]) / s_.steps;
     const int n = s_.states, m = s_.controls;
     advance(s_.table.data + stage * s_.stages(), path_, tangent_, places_, moved_, stage, n);
-    for (int k = 0; k < m; ++k) {
-      places_[n + k] = w_[n + k] + share * (w_[n + m + k] - w_[n + k]);
-      moved_[(n + k) * columns_ + n + k] = wide(1.0 - share);
-      moved_[(n + k) * columns_ + n + m + k] = wide(share);
-    }
+    for (int k = 0; k < m; ++k) places_[n + k] = w_[n + k] + share * (w_[n + m + k] - w_[n + k]);
     play(s_.operations.begin() + s_.once, s_.operations.end(), places_);
     push(stage, share);
     if (s_.priced) bend(share);
@@ -111,8 +108,8 @@ class SweepPack {
   // to = from + step (weights . slopes), the state and its tangents, for the first ``rows``; of ``count`` slopes.
   void advance(const double* weights, const Wide* state, const Wide* tangent, Wide* to, Wide* tangent_to, int count,
                int rows) {
-    double scaled[16];
-    int used[16], number = 0;
+    double scaled[kMaxStages];
+    int used[kMaxStages], number = 0;
     for (int i = 0; i < count; ++i)
       if (weights[i] != 0.0) used[number] = i, scaled[number++] = weights[i] / s_.steps;
     for (int r = 0; r < rows; ++r) {
@@ -129,7 +126,6 @@ class SweepPack {
 
   // The stage's slopes and their tangents.
   void push(int stage, double share) {
-    const int n = s_.states, m = s_.controls;
     Wide* pushed = pushed_ + stage * rows_ * columns_;
     for (int r = 0; r < rows_; ++r) {
       slopes_[stage * rows_ + r] = places_[s_.outputs[r]];
@@ -137,48 +133,38 @@ class SweepPack {
     }
     for (int i = 0; i < s_.jacobian.count; ++i) {
       const auto [r, k] = s_.jacobian[i];
-      const Wide entry = places_[s_.outputs[rows_ + i]];
-      Wide* row = pushed + r * columns_;
-      if (k < n) {
-        const Wide* from = moved_ + k * columns_;
-        for (int c = s_.first[k]; c < columns_; ++c) row[c] += entry * from[c];
-      } else {
-        row[k] += (1.0 - share) * entry;
-        row[k + m] += share * entry;
-      }
+      add_row(pushed + r * columns_, places_[s_.outputs[rows_ + i]], k, share);
     }
   }
 
   // curvature += moved' Hessian moved, upper triangle.
   void bend(double share) {
-    const int n = s_.states, m = s_.controls, all_rows = arguments_;
+    const int n = s_.states, m = s_.controls;
     const int* outputs = s_.outputs.data + rows_ + s_.jacobian.count;
     std::fill_n(turned_, arguments_ * columns_, wide(0.0));
     for (int i = 0; i < s_.hessian.count; ++i) {
       const auto [r, k] = s_.hessian[i];
       const Wide entry = places_[outputs[i]];
-      add_row(r, k, entry, share);
-      if (r != k) add_row(k, r, entry, share);
+      add_row(turned_ + r * columns_, entry, k, share);
+      if (r != k) add_row(turned_ + k * columns_, entry, r, share);
     }
-    for (int r = 0; r < all_rows; ++r) {
-      const Wide* turned = turned_ + r * columns_;
-      const Wide* moved = moved_ + r * columns_;
-      if (r >= n) {
-        for (int c = r; c < columns_; ++c) curvature_[r * columns_ + c] += (1.0 - share) * turned[c];
-        for (int c = r + m; c < columns_; ++c) curvature_[(r + m) * columns_ + c] += share * turned[c];
-        continue;
-      }
+    for (int r = 0; r < n; ++r) {
+      const Wide *moved = moved_ + r * columns_, *turned = turned_ + r * columns_;
       for (int i = s_.first[r]; i < columns_; ++i)
         for (int c = i; c < columns_; ++c) curvature_[i * columns_ + c] += moved[i] * turned[c];
     }
+    for (int r = n; r < arguments_; ++r) {
+      const Wide* turned = turned_ + r * columns_;
+      for (int c = r; c < columns_; ++c) curvature_[r * columns_ + c] += (1.0 - share) * turned[c];
+      for (int c = r + m; c < columns_; ++c) curvature_[(r + m) * columns_ + c] += share * turned[c];
+    }
   }
 
-  void add_row(int r, int k, Wide entry, double share) {
-    const int n = s_.states, m = s_.controls;
-    Wide* row = turned_ + r * columns_;
-    if (k >= n) {
+  // row += entry times the tangent of a stage's k-th argument: a state's, or a control's, which is a share of two inputs.
+  void add_row(Wide* row, const Wide& entry, int k, double share) {
+    if (k >= s_.states) {
       row[k] += (1.0 - share) * entry;
-      row[k + m] += share * entry;
+      row[k + s_.controls] += share * entry;
       return;
     }
     const Wide* from = moved_ + k * columns_;

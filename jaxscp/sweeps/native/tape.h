@@ -1,4 +1,4 @@
-// A tape: operations on numbers, each for the intervals of a pack at once. ``tape.py`` records them.
+// A tape: operations on numbers, each for sixteen intervals at once. ``tape.py`` records them.
 #pragma once
 
 #include <algorithm>
