@@ -38,6 +38,8 @@ SHAPES = {
     "links fill a pack": {"nodes": 7, "variables": 7},
     "links begin a pack": {"nodes": 8, "cones": 0, "norm": False},
     "three packs": {"nodes": 17, "variables": 10, "rows": 6, "cones": 2},
+    "a link fills a register": {"nodes": 3, "variables": 16},
+    "a link fills three": {"nodes": 33, "variables": 46, "rows": 6},
 }
 
 
@@ -117,6 +119,17 @@ def test_lanes_are_bitwise_those_solved_alone(both):
     )
     for lane in (0, 1, 3, 4, 5):
         np.testing.assert_array_equal(found.z[lane], both[0](programs[lane]).z)
+
+
+def test_who_helps_does_not_change_the_answer():
+    """A program alone is solved by as many threads as are free, a batch with a thread for each."""
+    given = jax.jit(equilibrate)(random_program(3, nodes=40))
+    pair = jax.tree.map(lambda v: jnp.stack([v, v]), given)
+    expected = jax.jit(jax.vmap(InteriorPoint().iterate))(*pair)
+    alone = jax.jit(InteriorPoint().iterate)
+    for _ in range(100):
+        for one, of_pair in zip(jax.tree.leaves(alone(*given)), jax.tree.leaves(expected), strict=True):
+            np.testing.assert_array_equal(one, of_pair[0])
 
 
 def test_float32_and_refusal_run_as_jax():

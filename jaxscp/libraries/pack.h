@@ -33,10 +33,6 @@ inline void set(Pack& v, int, double to) { v = to; }
 inline Mask within(int pack, int count) { return pack < count; }
 inline Pack one_before(Pack before, Pack) { return before; }
 inline Pack one_after(Pack, Pack after) { return after; }
-inline Pack evens(Pack a, Pack) { return a; }
-inline Pack odds(Pack, Pack b) { return b; }
-inline Pack first_of_pairs(Pack a, Pack) { return a; }
-inline Pack last_of_pairs(Pack, Pack b) { return b; }
 
 #else
 
@@ -63,12 +59,18 @@ inline Pack one_after(Pack here, Pack after) {
   return __builtin_shufflevector(here, after, 1, 2, 3, 4, 5, 6, 7, 8);
 }
 
-// Places 0, 2, 4 .. and 1, 3, 5 .. of two packs in a row.
-inline Pack evens(Pack a, Pack b) { return __builtin_shufflevector(a, b, 0, 2, 4, 6, 8, 10, 12, 14); }
-inline Pack odds(Pack a, Pack b) { return __builtin_shufflevector(a, b, 1, 3, 5, 7, 9, 11, 13, 15); }
-// Back again: a0 b0 a1 b1 .. in two packs.
-inline Pack first_of_pairs(Pack a, Pack b) { return __builtin_shufflevector(a, b, 0, 8, 1, 9, 2, 10, 3, 11); }
-inline Pack last_of_pairs(Pack a, Pack b) { return __builtin_shufflevector(a, b, 4, 12, 5, 13, 6, 14, 7, 15); }
+// Rows become columns: each round deals the rows of the lower half among those of the upper.
+inline void transpose(Pack (&v)[kWidth]) {
+  for (int round = 1; round < kWidth; round *= 2) {
+    Pack dealt[kWidth];
+    for (int i = 0; i < kWidth / 2; ++i) {
+      const Pack a = v[i], b = v[i + kWidth / 2];
+      dealt[2 * i] = __builtin_shufflevector(a, b, 0, 8, 1, 9, 2, 10, 3, 11);
+      dealt[2 * i + 1] = __builtin_shufflevector(a, b, 4, 12, 5, 13, 6, 14, 7, 15);
+    }
+    for (int i = 0; i < kWidth; ++i) v[i] = dealt[i];
+  }
+}
 
 #endif
 

@@ -6,11 +6,12 @@ Here a step is a few hundred thousand vector instructions on data that stay in t
 which they build on each other:
 
     layout.h arena.h           what lies where, eight nodes of the chain in one register (``libraries/pack.h``)
-    threads.h                  who does what: loops on a CPU, phases of a block of threads on a GPU
-    elimination.h, elimination_by_warp.h   one panel eliminated, on a CPU and on a GPU
-    program.h cones.h chain.h newton_system.h interior_point.h   the method, the same text on both
+    team.h threads.h           who does what: phases that the threads of a team, or of a GPU's block, share
+    elimination.h, elimination_by_warp.h    one panel eliminated, on a CPU and on a GPU
+    chain_from_ends.h, chain_by_halves.h    the chain of links factored, on a CPU and on a GPU
+    program.h cones.h newton_system.h interior_point.h   the method, the same text on both
     batch.h buffers.h          lanes of a batch, as XLA passes them
-    handler.cc                 what XLA calls on a CPU
+    handler.cc                 what XLA calls on a CPU: a thread a lane, or for a single lane all that are free
     kernel.cu gpu_handler.cc   the kernel, and what XLA calls to launch it; ``gpu.py`` compiles it
 
 The libraries are compiled when the package is installed, if there is a C++ compiler. Without them, on other devices,

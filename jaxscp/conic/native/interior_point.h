@@ -40,15 +40,22 @@ class InteriorPoint {
   void run(double cost_scale, double tolerance) {
     double q = most(1.0, program_.largest_of(program_.q, program_.primal));
     double b = most(1.0, program_.largest_of(program_.b, program_.cone));
-    once([&] { cost_scale_ = cost_scale, tolerance_ = tolerance, size_q_ = q, size_b_ = b; });
-    start();
-    measure(iterate_, residuals_);
     once([&] {
+      cost_scale_ = cost_scale, tolerance_ = tolerance, size_q_ = q, size_b_ = b;
       iterations = 0;
-      stalled = false;
-      broken = !is_finite(residuals_.error);
+      started_ = stalled = broken = false;
     });
-    while (!finished()) step();
+    work();
+    dismiss();
+  }
+
+  // What is left to do of ``run``; other threads may come to help with it.
+  void work() {
+    while (admit()) {
+      if (started_) step();
+      else start();
+      if (finished()) return;
+    }
   }
 
   const Iterate& iterate() const { return iterate_; }
@@ -86,6 +93,11 @@ class InteriorPoint {
       g.of_primal(iterate_.x, p)[g.zeta] = at(iterate_.s, p)[g.virtual_];
     });
     once([&] { iterate_.tau = iterate_.kappa = 1.0; });
+    measure(iterate_, residuals_);
+    once([&] {
+      started_ = true;
+      broken = !is_finite(residuals_.error);
+    });
   }
 
   // Move every cone's part at least one unit inside its cone.
@@ -271,6 +283,7 @@ class InteriorPoint {
   Residuals residuals_, new_residuals_;
   Packs point_, square_, target_, lifted_, ry_, dual_, hessian_x_, rx_, xi_, gradient_;
   double cost_scale_ = 1.0, tolerance_ = 0.0, size_q_ = 1.0, size_b_ = 1.0, slope_ = 0.0;
+  bool started_ = false;
 };
 
 }  // namespace jaxscp

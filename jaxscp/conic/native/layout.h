@@ -98,8 +98,7 @@ struct PanelShape {
   static constexpr int size = kSize, rows = kRows;
 };
 inline auto node_panel(const ProgramLayout&) { return PanelShape<kLayout.n, kLayout.n + 2 * kLayout.m>(); }
-inline auto link_panel(const ProgramLayout&) { return PanelShape<kLayout.m, 3 * kLayout.m>(); }
-inline auto last_panel(const ProgramLayout& g) { return link_panel(g); }  // with nothing below: one kind of code less
+inline auto link_panel(const ProgramLayout&) { return PanelShape<kLayout.m, 3 * kLayout.m>(); }  // and its neighbours
 #else
 using ProgramLayout = Layout;
 
@@ -107,8 +106,6 @@ struct PanelShape {
   int size, rows;
 };
 inline PanelShape node_panel(const ProgramLayout& g) { return {g.n, g.n + 2 * g.m}; }  // a node and its two links
-inline PanelShape link_panel(const ProgramLayout& g) { return {g.m, 3 * g.m}; }        // a link and its neighbours
-inline PanelShape last_panel(const ProgramLayout& g) { return {g.m, g.m}; }
 #endif
 
 }  // namespace jaxscp

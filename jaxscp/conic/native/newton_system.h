@@ -1,8 +1,9 @@
 // The Newton system of the interior point and its solution, by elimination of cones, nodes and links (``kkt.py``).
 #pragma once
 
-#include "chain.h"
+#include "chains.h"
 #include "cones.h"
+#include "eliminations.h"
 
 namespace jaxscp {
 
@@ -98,14 +99,15 @@ class NewtonSystem {
       eliminate(node_panel(g), panel);
       grams(node_panel(g), panel, &grams_[p * 3 * m * m]);
     });
-    share_kept(chain_.packs(), m * m, [&](int p, int e) {
-      int i = e / m, j = e % m;
-      auto gram = [&](int q, int k) { return q < 0 ? all(0.0) : g.of_nodes(q, grams_[(q * 3 + k) * m * m + e]); };
-      chain_.above(p)[e] = gram(p, 2);
-      if (j > i) return;
-      Pack link = compliance(scaling, p, i, j, regularisation) + gram(p, 0) + one_before(gram(p - 1, 1), gram(p, 1));
-      chain_.diagonal(p)[e] = where(within(p, g.nodes + 1), link, all(i == j ? 1.0 : 0.0));
-    });
+    auto gram = [&](int q, int k, int i, int j) {
+      return q < 0 ? all(0.0) : g.of_nodes(q, grams_[(q * 3 + k) * m * m + i * m + j]);
+    };
+    auto diagonal = [&](int p, int i, int j) {
+      Pack link = compliance(scaling, p, i, j, regularisation) + gram(p, 0, i, j) +
+                  one_before(gram(p - 1, 1, i, j), gram(p, 1, i, j));
+      return where(within(p, g.nodes + 1), link, all(i == j ? 1.0 : 0.0));
+    };
+    chain_.read(diagonal, [&](int p, int i, int j) { return gram(p, 2, i, j); });
     chain_.factor();
   }
 
@@ -209,22 +211,20 @@ class NewtonSystem {
     share_among_teams(chain_.packs(), [&](int p) {
       descend<S>(node_panel(g), &panels_[p * rows_ * n], &right_[p * n * kSides], &below_[p * rows_ * kSides]);
     });
-    share_kept(chain_.packs(), m * S, [&](int p, int k) {
-      int i = k / S, s = k % S;
-      auto out = [&](int q, int row) {
-        return q < 0 ? all(0.0) : g.of_nodes(q, below_[q * rows_ * kSides + row * S + s]);
-      };
-      Pack here = out(p, n + i) - lacks(w, p, i, sides[s].rx, sides[s].ry);
-      here += one_before(out(p - 1, n + m + i), out(p, n + m + i));  // from the node before the link
-      chain_.vector()[(p * m + i) * kSides + s] = g.of_links(p, here);
+    auto out = [&](int q, int row, int s) {
+      return q < 0 ? all(0.0) : g.of_nodes(q, below_[q * rows_ * kSides + row * S + s]);
+    };
+    chain_.template solve<S>([&](int p, int i, int s) {
+      Pack here = out(p, n + i, s) - lacks(w, p, i, sides[s].rx, sides[s].ry);
+      here += one_before(out(p - 1, n + m + i, s), out(p, n + m + i, s));  // from the node before the link
+      return g.of_links(p, here);
     });
-    chain_.solve<S>();
     share_among_teams(chain_.packs(), [&](int p) {
       Pack* v = &below_[p * rows_ * kSides];
       in_team(m * S, [&](int k) {
         int i = k / S, s = k % S;
-        Pack here = chain_.vector()[(p * m + i) * kSides + s];
-        Pack next = p + 1 < chain_.packs() ? chain_.vector()[((p + 1) * m + i) * kSides + s] : all(0.0);
+        Pack here = chain_.solution(p, i, s);
+        Pack next = p + 1 < chain_.packs() ? chain_.solution(p + 1, i, s) : all(0.0);
         v[n * S + k] = here;
         v[(n + m) * S + k] = one_after(here, next);
       });

@@ -1,8 +1,14 @@
-// Who does what. On a CPU one thread solves a program, and these are loops. On a GPU the threads of a block solve it
-// together: each call is a phase that they share, and all of it is done when it returns.
+// Who does what: the threads of a team on a CPU, or of a block on a GPU, solve a program together. Each call is a phase
+// that they share, and all of it is done when it returns.
 #pragma once
 
+#if defined(__CUDACC__)
 #include "pack.h"
+#else
+#include <utility>
+
+#include "team.h"
+#endif
 
 namespace jaxscp {
 
@@ -65,6 +71,10 @@ inline void once(Act act) {
   __syncthreads();
 }
 
+// All take part from the beginning to the end.
+inline bool admit() { return true; }
+inline void dismiss() {}
+
 // ``join`` of ``first`` and of value(p, k) for all p < packs and k < count.
 template <typename Join, typename Value>
 inline double fold(int packs, int count, double first, Join join, Value value) {
@@ -87,15 +97,30 @@ inline double fold(int packs, int count, double first, Join join, Value value) {
 
 #define JAXSCP_CALLED
 
+inline void wait() { seat.team->wait(seat.me); }
+
+// Which of so many are this thread's: a stretch, so that it finds in its cache what it left there.
+inline std::pair<int, int> mine(int count) {
+  const long long size = seat.team->size(), me = seat.me;
+  return {static_cast<int>(count * me / size), static_cast<int>(count * (me + 1) / size)};
+}
+
 template <typename Act>
 inline void share(int count, Act act) {
-  for (int i = 0; i < count; ++i) act(i);
+  auto [begin, end] = mine(count);
+  for (int i = begin; i < end; ++i) act(i);
+  wait();
 }
 
 template <typename Act>
 inline void share(int packs, int count, Act act) {
-  for (int p = 0; p < packs; ++p)
-    for (int k = 0; k < count; ++k) act(p, k);
+  auto [begin, end] = mine(packs * count);
+  for (int at = begin; at < end;) {
+    const int p = at / count, first = p * count, last = std::min(end, first + count);
+    for (int k = at - first; k < last - first; ++k) act(p, k);
+    at = last;
+  }
+  wait();
 }
 
 template <typename Act>
@@ -103,6 +128,7 @@ inline void share_kept(int packs, int count, Act act) {
   share(packs, count, act);
 }
 
+// A team of its own is what a thread is here.
 template <typename Act>
 inline void share_among_teams(int count, Act act) {
   share(count, act);
@@ -110,24 +136,42 @@ inline void share_among_teams(int count, Act act) {
 
 template <typename Act>
 inline void in_team(int count, Act act) {
-  share(count, act);
+  for (int i = 0; i < count; ++i) act(i);
 }
 
 template <typename Act>
 inline void once(Act act) {
-  act();
+  wait();
+  if (seat.me == 0) act();
+  wait();
 }
 
+// At the head of what all do together: lets in who wants to take part, at the same place. False for who does not.
+inline bool admit() {
+  seat.turn = 0;
+  if (seat.me < 0) return (seat.me = seat.team->join()) > 0;
+  return seat.team->admit(seat.me);
+}
+
+// Behind it: one goes on alone.
+inline void dismiss() { seat.team->dismiss(); }
+
+// In an order that does not depend on how many threads there are, so that what is found does not.
 template <typename Join, typename Value>
 inline double fold(int packs, int count, double first, Join join, Value value) {
-  Pack part[4] = {all(first), all(first), all(first), all(first)};  // in turn: none waits for the one before
-  for (int p = 0; p < packs; ++p) {
+  Pack* of_packs = seat.team->parts(seat.turn ^= 1);
+  auto [begin, end] = mine(packs);
+  for (int p = begin; p < end; ++p) {
+    Pack part[4] = {all(first), all(first), all(first), all(first)};  // in turn: none waits for the one before
     int k = 0;
     for (; k + 4 <= count; k += 4)
       for (int i = 0; i < 4; ++i) part[i] = join(value(p, k + i), part[i]);
     for (; k < count; ++k) part[0] = join(value(p, k), part[0]);
+    of_packs[p] = join(join(part[0], part[1]), join(part[2], part[3]));
   }
-  Pack total = join(join(part[0], part[1]), join(part[2], part[3]));
+  wait();
+  Pack total = all(first);
+  for (int p = 0; p < packs; ++p) total = join(of_packs[p], total);
   Pack whole = all(get(total, 0));
   for (int lane = 1; lane < kWidth; ++lane) whole = join(all(get(total, lane)), whole);
   return get(whole, 0);

@@ -1,0 +1,117 @@
+// The threads of a CPU that solve a program together. One begins, and others join it as they become free.
+//
+// A phase is as short as a microsecond, so that who is done with it waits for the others without sleeping.
+#pragma once
+
+#include <algorithm>
+#include <atomic>
+#include <thread>
+#include <vector>
+
+#include "pack.h"
+
+namespace jaxscp {
+
+class Team {
+ public:
+  // For up to ``most`` threads, whose sums are over up to ``packs``.
+  Team(int most, int packs) : most_(most), parts_{std::vector<Pack>(packs), std::vector<Pack>(packs)} {}
+
+  int size() const { return size_; }
+
+  // Returns when all have come here: each then sees what the others did before.
+  void wait(int me) {
+    if (size_ == 1) return;
+    if (me == 0) {
+      gather();
+      release();
+    } else {
+      await_leader();
+    }
+  }
+
+  // Between phases: the number of a thread that wants to join, which waits here until it takes part. Negative where it
+  // does not, as no others are needed, or what it was to do is done.
+  int join() {
+    const int me = ++comers_;
+    if (me >= most_) return -1;
+    until([&] { return admitted_.load(std::memory_order_acquire) > me || closed_.load(std::memory_order_acquire); });
+    return admitted_.load(std::memory_order_acquire) > me ? me : -1;
+  }
+
+  // Between phases, for all who take part: those who came meanwhile do so from here on. False for who no longer does.
+  bool admit(int me) {
+    if (me > 0) {
+      await_leader();
+      return me < size_;
+    }
+    gather();
+    if (late_ > kPatience) closed_.store(true, std::memory_order_release);
+    resize(closed_ ? 1 : std::min(1 + comers_, most_));
+    release();
+    admitted_.store(size_, std::memory_order_release);
+    return true;
+  }
+
+  // The first thread goes on alone; the others have left after their last phase.
+  void dismiss() {
+    resize(1);
+    closed_.store(true, std::memory_order_release);
+  }
+
+  // What packs add to a sum. There are two, as one is still read when the next is written.
+  Pack* parts(int turn) { return parts_[turn].data(); }
+
+ private:
+  static constexpr int kSpins = 300;    // some microseconds: who is waited for may not be on a core
+  static constexpr int kYields = 300;   // some hundred: it is late
+  static constexpr int kPatience = 10;  // how often, before others are not worth waiting for
+
+  // Whether it holds soon; returns when it does.
+  template <typename Condition>
+  static bool until(Condition holds) {
+    for (int i = 0; i < kSpins; ++i) {
+      if (holds()) return true;
+#if defined(__x86_64__)
+      __builtin_ia32_pause();
+#endif
+    }
+    long long yields = 0;
+    for (; !holds(); ++yields) std::this_thread::yield();
+    return yields < kYields;
+  }
+
+  // Who was let go may still read the size, which then stays as it is.
+  void resize(int size) {
+    if (size != size_) size_ = size;
+  }
+  void gather() {
+    if (!until([&] { return arrived_.load(std::memory_order_acquire) == size_ - 1; })) ++late_;
+    arrived_.store(0, std::memory_order_relaxed);
+  }
+  void release() { round_.store(round_.load(std::memory_order_relaxed) + 1, std::memory_order_release); }
+  void await_leader() {
+    const long long round = round_.load(std::memory_order_relaxed);
+    arrived_.fetch_add(1, std::memory_order_acq_rel);
+    until([&] { return round_.load(std::memory_order_acquire) != round; });
+  }
+
+  const int most_;
+  int size_ = 1, late_ = 0;  // changed by the first thread, while the others wait for it
+  std::atomic<int> comers_{0};
+  alignas(64) std::atomic<int> arrived_{0};
+  alignas(64) std::atomic<long long> round_{0};
+  alignas(64) std::atomic<int> admitted_{1};
+  std::atomic<bool> closed_{false};
+  std::vector<Pack> parts_[2];
+};
+
+// A thread's place in its team.
+struct Seat {
+  Team* team = nullptr;
+  int me = 0;    // the first is zero, and who has not joined yet is negative
+  int turn = 0;  // of ``Team::parts``
+};
+inline thread_local Seat seat;
+
+}  // namespace jaxscp
