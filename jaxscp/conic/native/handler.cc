@@ -2,6 +2,7 @@
 // a single one.
 
 #include <algorithm>
+#include <chrono>
 #include <memory>
 #include <vector>
 
@@ -11,6 +12,26 @@
 namespace jaxscp {
 namespace {
 
+// Whether others help with a program is for experience to say: their cores may be in use, and a thread that is not on a
+// core holds up all. The answer is the same either way.
+class Experience {
+ public:
+  bool prefers_help() {
+    if (alone_ == 0.0 || helped_ == 0.0) return helped_ == 0.0;
+    return (helped_ < alone_) != (++turn_ % kAnew == 0);
+  }
+  void add(bool help, double seconds) {
+    double& mean = help ? helped_ : alone_;
+    mean = mean == 0.0 ? seconds : mean + kNew * (std::min(seconds, 2.0 * mean) - mean);
+  }
+
+ private:
+  static constexpr int kAnew = 16;      // the other way is tried once in so many
+  static constexpr double kNew = 0.25;  // weight of the last
+  double alone_ = 0.0, helped_ = 0.0;  // of a step
+  int turn_ = 0;
+};
+
 // A program's room and its solver's. Each thread keeps its last one: to find room anew takes longer than a step.
 struct Worker {
   Sizes sizes;
@@ -19,6 +40,7 @@ struct Worker {
   Arena arena;
   Program program;
   InteriorPoint solver;
+  Experience experience;
 
   Worker(const Sizes& sizes, const Settings& settings)
       : sizes(sizes), settings(settings), memory(room(sizes, settings)), arena(memory.data()),
@@ -46,14 +68,19 @@ void seated(Team& team, int me, Act act) {
   seat = {};
 }
 
-// One program by as many threads as are free and have enough of it to do.
+// One program by as many threads as have enough of it to do, where that is faster.
 void solve_together(ffi::ThreadPool& pool, const Batch& batch, Worker& worker) {
+  using Clock = std::chrono::steady_clock;
   constexpr int kPacksEach = 2;
-  const int packs = worker.program.packs;
-  const int most = std::max<int64_t>(1, std::min<int64_t>(packs / kPacksEach, pool.num_threads()));
-  Team team(most, packs);
-  with_helpers(pool, most - 1, [&] { seated(team, 0, [&] { solve_lane(batch, 0, worker.program, worker.solver); }); },
+  const int packs = worker.program.packs, threads = std::min<int64_t>(packs / kPacksEach, pool.num_threads());
+  const bool help = threads > 1 && worker.experience.prefers_help();
+  Team team(help ? threads : 1, packs);
+  const auto begin = Clock::now();
+  with_helpers(pool, help ? threads - 1 : 0,
+               [&] { seated(team, 0, [&] { solve_lane(batch, 0, worker.program, worker.solver); }); },
                [&] { seated(team, -1, [&] { worker.solver.work(); }); });
+  const double seconds = std::chrono::duration<double>(Clock::now() - begin).count();
+  worker.experience.add(help, seconds / (1 + worker.solver.iterations));
 }
 
 ffi::Error solve(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::RemainingRets rets, ffi::Dictionary attrs) {

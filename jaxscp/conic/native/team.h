@@ -63,22 +63,22 @@ class Team {
   Pack* parts(int turn) { return parts_[turn].data(); }
 
  private:
-  static constexpr int kSpins = 300;    // some microseconds: who is waited for may not be on a core
-  static constexpr int kYields = 300;   // some hundred: it is late
-  static constexpr int kPatience = 10;  // how often, before others are not worth waiting for
+  static constexpr int kSpins = 400;     // a few microseconds: who is waited for may not be on a core
+  static constexpr int kPatience = 15;   // how often that, before others are not worth waiting for
+  static constexpr int kYields = 1000;   // half a millisecond: as bad as all of these
 
-  // Whether it holds soon; returns when it does.
+  // Returns when it holds: how often its core was offered to others meanwhile.
   template <typename Condition>
-  static bool until(Condition holds) {
+  static int until(Condition holds) {
     for (int i = 0; i < kSpins; ++i) {
-      if (holds()) return true;
+      if (holds()) return 0;
 #if defined(__x86_64__)
       __builtin_ia32_pause();
 #endif
     }
-    long long yields = 0;
+    int yields = 0;
     for (; !holds(); ++yields) std::this_thread::yield();
-    return yields < kYields;
+    return yields;
   }
 
   // Who was let go may still read the size, which then stays as it is.
@@ -86,7 +86,8 @@ class Team {
     if (size != size_) size_ = size;
   }
   void gather() {
-    if (!until([&] { return arrived_.load(std::memory_order_acquire) == size_ - 1; })) ++late_;
+    int yields = until([&] { return arrived_.load(std::memory_order_acquire) == size_ - 1; });
+    if (yields > 0) late_ += yields > kYields ? kPatience + 1 : 1;
     arrived_.store(0, std::memory_order_relaxed);
   }
   void release() { round_.store(round_.load(std::memory_order_relaxed) + 1, std::memory_order_release); }
