@@ -24,7 +24,11 @@ TILE_ELSEWHERE = 1024
 
 
 def while_loop(
-    unfinished: Callable[[State], Flag], step: Callable[[Any, State], State], fixed: Any, state: State
+    unfinished: Callable[[State], Flag],
+    step: Callable[[Any, State], State],
+    fixed: Any,
+    state: State,
+    elsewhere: int = TILE_ELSEWHERE,
 ) -> State:
     """``jax.lax.while_loop``; under ``vmap``, in rounds over the lanes that are not finished.
 
@@ -35,6 +39,7 @@ def while_loop(
         step: from ``fixed`` and a state to the next; closes over no array.
         fixed: any pytree that stays as it is.
         state: a pytree of arrays, to begin with.
+        elsewhere: lanes stepped at once on other devices than CPUs.
     """
     arrays, rest = eqx.partition(fixed, eqx.is_array)
     once = jax.jit(
@@ -50,23 +55,38 @@ def while_loop(
         own, begun = batched
         states = jax.tree.map(lambda v, b: v if b else _repeat(v, lanes), state, begun)
         every = jax.tree.map(int, own)
-        return _all(_many(unfinished, once, lanes, every)(arrays, states))
+        return _all(_many(unfinished, once, lanes, elsewhere, every)(arrays, states))
 
     return loop(arrays, state)
 
 
-def where_needed(needed: Flag, act: Callable[[Any, State], State], fixed: Any, state: State) -> State:
+def where_needed(
+    needed: Flag,
+    act: Callable[[Any, State], State],
+    fixed: Any,
+    state: State,
+    elsewhere: int = TILE_ELSEWHERE,
+) -> State:
     """``act(fixed, state)`` where that is needed, else the state; under ``vmap`` the other lanes cost nothing."""
     end, _ = while_loop(
-        lambda s: s[1], lambda fixed, s: (act(fixed, s[0]), jnp.zeros_like(s[1])), fixed, (state, needed)
+        lambda s: s[1],
+        lambda fixed, s: (act(fixed, s[0]), jnp.zeros_like(s[1])),
+        fixed,
+        (state, needed),
+        elsewhere,
     )
     return end
 
 
-def in_tiles(act: Callable[[Any], State], fixed: Any) -> State:
+def in_tiles(act: Callable[[Any], State], fixed: Any, elsewhere: int = TILE_ELSEWHERE) -> State:
     """``act(fixed)``; under ``vmap``, a tile of lanes at a time, so that what it holds meanwhile is held for a tile.
 
     It has no derivative: keep those of ``fixed`` away by ``jax.lax.stop_gradient``.
+
+    Args:
+        act: what is done with a lane.
+        fixed: any pytree.
+        elsewhere: lanes of a tile on other devices than CPUs.
 
     Example:
         >>> import jax, jax.numpy as jnp
@@ -88,7 +108,7 @@ def in_tiles(act: Callable[[Any], State], fixed: Any) -> State:
         )
         axes = jax.tree.map(lambda b: 0 if b else None, batched[0])
         tiled = lambda arrays: where_needed(  # noqa: E731
-            jnp.ones((), bool), lambda arrays, _: once(arrays), arrays, blank
+            jnp.ones((), bool), lambda arrays, _: once(arrays), arrays, blank, elsewhere
         )
         return _all(jax.vmap(tiled, in_axes=(axes,), axis_size=lanes)(arrays))
 
@@ -98,20 +118,21 @@ def in_tiles(act: Callable[[Any], State], fixed: Any) -> State:
     return one(arrays)
 
 
-def _many(unfinished, step, lanes: int, every):
+def _many(unfinished, step, lanes: int, elsewhere: int, every):
     """The loop for a batch. Under another ``vmap``, that of one larger batch.
 
     Args:
         unfinished: of one lane's state.
         step: of one lane.
         lanes: how many.
+        elsewhere: how many of them at once on other devices than CPUs.
         every: of each of the arrays that stay, how many lanes in a row share an entry of its leading axis, which is run
             through again when it ends; zero where all share the array.
     """
 
     @custom_vmap
     def loop(arrays, states):
-        return _in_rounds(unfinished, step, lanes, every, arrays, states)
+        return _in_rounds(unfinished, step, lanes, elsewhere, every, arrays, states)
 
     @loop.def_vmap
     def _(batches, batched, arrays, states):
@@ -129,7 +150,9 @@ def _many(unfinished, step, lanes: int, every):
         pairs = jax.tree.map(merged, arrays, batched[0], every)
         arrays, shared = (jax.tree.map(lambda _, p, k=k: p[k], arrays, pairs) for k in range(2))
         states = jax.tree.map(lambda v, outer: merge(v if outer else _repeat(v, batches)), states, batched[1])
-        return _all(jax.tree.map(split, _many(unfinished, step, batches * lanes, shared)(arrays, states)))
+        return _all(
+            jax.tree.map(split, _many(unfinished, step, batches * lanes, elsewhere, shared)(arrays, states))
+        )
 
     return loop
 
@@ -143,9 +166,9 @@ def _all(end):
     return end, jax.tree.map(lambda _: True, end)
 
 
-def _in_rounds(unfinished, step, lanes: int, every, arrays, states):
+def _in_rounds(unfinished, step, lanes: int, elsewhere: int, every, arrays, states):
     """Step the lanes that are not finished, tile by tile, until there are none."""
-    tile = min(lanes, TILE.get(jax.default_backend(), TILE_ELSEWHERE))
+    tile = min(lanes, TILE.get(jax.default_backend(), elsewhere))
     axes = jax.tree.map(lambda k: 0 if k else None, every)
 
     def one_tile(i, order, states):

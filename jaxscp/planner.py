@@ -25,6 +25,8 @@ from jaxscp.trajectory import Trajectory
 from jaxscp.types import Count, Flag, Scalar
 from jaxscp.validation import valid, validate
 
+CERTIFIED_AT_ONCE = 4096  # on a GPU, which is as long over fewer
+
 
 class Solution(eqx.Module):
     """A planned flight and what is known about it: look at ``status`` first. Never NaN, and finite but for the
@@ -158,7 +160,9 @@ class Planner(eqx.Module):
         """Certify what the iterations ended with, the method's own state."""
         trajectory = trajectory_of(problem, answer.z)
         frozen, flown = jax.lax.stop_gradient((problem, trajectory))
-        certificate = lanes.in_tiles(lambda fixed: self._certify(*fixed), (frozen, state, flown))
+        certificate = lanes.in_tiles(
+            lambda fixed: self._certify(*fixed), (frozen, state, flown), CERTIFIED_AT_ONCE
+        )
         refuted = (state.status == Status.converged) & ~acceptable(
             certificate, self.method.holds_between_nodes
         )
