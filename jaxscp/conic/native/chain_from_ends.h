@@ -5,6 +5,8 @@
 // reduction would fill it, at three times the arithmetic. Each end can have its thread.
 #pragma once
 
+#include <span>
+
 #include "program.h"
 
 namespace jaxscp {
@@ -39,19 +41,16 @@ class Chain {
   void factor() {
     share_among_teams(2, [&](int end) {
       for (int t = 0; t < count(end); ++t) {
-        if (t == 0) eliminate(link(end, 0), scaled(end, 0), {});
-        else eliminate(link(end, t), scaled(end, t), {{panel(link(end, t - 1)), scaled(end, t - 1)}});
+        const Neighbour before = eliminated(end, t - 1);
+        eliminate(link(end, t), scaled(end, t), std::span(&before, t > 0));
       }
     });
     share_among_teams(1, [&](int) {
       Neighbour before[2];
       int many = 0;
       for (int end = 0; end < 2; ++end)
-        if (int t = count(end)) before[many++] = {panel(link(end, t - 1)), scaled(end, t - 1)};
-      Pack* mine = scaled(0, count(0));
-      if (many == 2) eliminate(middle_, mine, {before[0], before[1]});
-      else if (many == 1) eliminate(middle_, mine, {before[0]});
-      else eliminate(middle_, mine, {});
+        if (count(end) > 0) before[many++] = eliminated(end, count(end) - 1);
+      eliminate(middle_, scaled(0, count(0)), std::span(before, many));
     });
   }
 
@@ -104,13 +103,17 @@ class Chain {
   struct Neighbour {
     const Pack *unit, *scaled;
   };
+  using Neighbours = std::span<const Neighbour>;
 
   // From an end, 0 or 1: how many blocks, and which is the t-th.
   int count(int end) const { return end == 0 ? middle_ : links_ - 1 - middle_; }
   int link(int end, int t) const { return end == 0 ? t : links_ - 1 - t; }
+  Neighbour eliminated(int end, int t) const {
+    return t < 0 ? Neighbour{} : Neighbour{panel(link(end, t)), scaled(end, t)};
+  }
 
   Pack* panel(int l) const { return &panels_[l * panel()]; }
-  Pack* scaled(int end, int t) { return &scaled_[(2 * end + t % 2) * panel()]; }
+  Pack* scaled(int end, int t) const { return &scaled_[(2 * end + t % 2) * panel()]; }
   Pack* vector(int l, int s) const { return &vector_[(l * kSides + s) * height_]; }
 
   static double* numbers(Pack* v) { return reinterpret_cast<double*>(v); }
@@ -140,7 +143,7 @@ class Chain {
 
   // What is left of columns j .. j + C - 1 when those before them are eliminated, at packs h .. h + T - 1.
   template <int C, int T>
-  void leave(Pack* unit, Pack* scaled, std::initializer_list<Neighbour> before, int j, int h) const {
+  void leave(Pack* unit, Pack* scaled, Neighbours before, int j, int h) const {
     Pack v[C][T];
     for (int c = 0; c < C; ++c)
       for (int t = 0; t < T; ++t) v[c][t] = unit[(j + c) * column() + h + t];
@@ -153,7 +156,7 @@ class Chain {
   }
 
   template <int C>
-  void eliminate(Pack* unit, Pack* scaled, Pack* inverse, std::initializer_list<Neighbour> before, int j) const {
+  void eliminate(Pack* unit, Pack* scaled, Pack* inverse, Neighbours before, int j) const {
     const int first = j / kWidth;
     for (int end : {height_, column()}) {
       int h = end == height_ ? first : height_;
@@ -182,7 +185,7 @@ class Chain {
     }
   }
 
-  void eliminate(int l, Pack* scaled, std::initializer_list<Neighbour> before) {
+  void eliminate(int l, Pack* scaled, Neighbours before) {
     Pack *unit = panel(l), *inverse = &inverse_[l * height_];
     int j = 0;
     for (; j + kColumns <= m_; j += kColumns) eliminate<kColumns>(unit, scaled, inverse, before, j);
