@@ -100,9 +100,7 @@ def sweep(intervals: Intervals, slopes: Slopes, w: Float[Array, "intervals input
     start = [*columns[:n], jnp.zeros_like(columns[0])], [like + directions[r] for r in range(n)] + [like]
     begins = jnp.arange(0, intervals.steps, intervals.every)
     _, (path, tangents) = jax.lax.scan(to_next_kept, start, begins)
-    found = Pass(
-        jnp.moveaxis(jnp.stack(path, -1), 1, 0), jnp.transpose(jnp.stack(tangents, -1), (2, 0, 3, 1)), None
-    )
-    return jax.lax.optimization_barrier(
-        found
-    )  # what reads of it is not to put it together from its rows anew
+    path, tangent = jnp.stack(path, -1), jnp.stack(tangents, -1)
+    found = Pass(jnp.moveaxis(path, 1, 0), jnp.transpose(tangent, (2, 0, 3, 1)), None)
+    # what reads of it is not to put it together from its rows anew
+    return jax.lax.optimization_barrier(found)

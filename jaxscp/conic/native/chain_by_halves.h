@@ -1,8 +1,7 @@
 // The Schur complement in the link multipliers, on a GPU: block tridiagonal, factored by cyclic reduction.
 //
 // Every second block is eliminated at once, which leaves a chain of half the length (``block_tridiagonal.py`` says it
-// in JAX) and work for many threads. Behind the last block there are unit blocks tied to nothing, which need no case of
-// their own.
+// in JAX) and work for many threads.
 #pragma once
 
 #include "eliminations.h"
@@ -91,9 +90,9 @@ class Chain {
     Packs reduced;  // right sides of the odd blocks, eliminated
   };
 
-  // Of a level's blocks, of ``size`` entries each; behind the last, ``beyond``.
-  static Pack at(Packs v, int blocks, int p, int size, int entry, double beyond = 0.0) {
-    return p < blocks ? v[p * size + entry] : all(beyond);
+  // Of a level's blocks, of ``size`` entries each; there is nothing before the first and behind the last.
+  static Pack at(Packs v, int blocks, int p, int size, int entry) {
+    return p >= 0 && p < blocks ? v[p * size + entry] : all(0.0);
   }
 
   JAXSCP_CALLED void reduce(Blocks from, const Level& level, Blocks to, int evens) {
@@ -102,44 +101,36 @@ class Chain {
       Pack* panel = &level.panels[p * 3 * size];
       in_team(size, [&](int e) {
         int i = e / m, j = e % m;
-        auto block = [&](Packs v, int q, double beyond) { return at(v, level.blocks, q, size, e, beyond); };
-        if (j <= i) entry(link_panel(program_), panel, i, j) = block(from.diagonal, 2 * p + 1, i == j ? 1.0 : 0.0);
-        entry(link_panel(program_), panel, m + i, j) = block(from.above, 2 * p, 0.0);          // S_{o-1,o}
-        entry(link_panel(program_), panel, 2 * m + j, i) = block(from.above, 2 * p + 1, 0.0);  // S_{o,o+1}'
+        const int even = 2 * p * size + e, odd = even + size;
+        if (j <= i) entry(link_panel(program_), panel, i, j) = from.diagonal[odd];
+        entry(link_panel(program_), panel, m + i, j) = from.above[even];     // S_{o-1,o}
+        entry(link_panel(program_), panel, 2 * m + j, i) = from.above[odd];  // S_{o,o+1}'
       });
       eliminate(link_panel(program_), panel);
       grams(link_panel(program_), panel, &grams_[p * 3 * size]);
     });
     share_kept(evens, size, [&](int p, int e) {
-      double unit = e / m == e % m ? 1.0 : 0.0;
-      auto gram = [&](int q, int k) {
-        return q >= 0 ? at(grams_, level.odd, q, 3 * size, k * size + e) : all(0.0);
-      };
+      auto gram = [&](int q, int k) { return at(grams_, level.odd, q, 3 * size, k * size + e); };
       to.above[p * size + e] = -gram(p, 2);
-      if (e % m > e / m) return;
-      Pack diagonal = at(from.diagonal, level.blocks, 2 * p, size, e, unit);
-      to.diagonal[p * size + e] = diagonal - gram(p, 0) - gram(p - 1, 1);
+      if (e % m <= e / m) to.diagonal[p * size + e] = from.diagonal[2 * p * size + e] - gram(p, 0) - gram(p - 1, 1);
     });
   }
 
   template <int S>
   JAXSCP_CALLED void descend_to(Level& from, Level& to) {
     const int m = program_.m, width = m * kSides;
-    auto given = [&](int q, int e) { return at(from.vector, from.blocks, q, width, e); };
     share_among_teams(from.odd, [&](int p) {
       Pack* out = &from.reduced[p * 3 * m * kSides];
       in_team(m * S, [&](int k) {
         int e = k / S * kSides + k % S;
-        out[k] = given(2 * p + 1, e);
+        out[k] = from.vector[(2 * p + 1) * width + e];
       });
       descend<S>(link_panel(program_), &from.panels[p * 3 * m * m], out, out);
     });
     share_kept(to.blocks, m * S, [&](int p, int k) {
       int i = k / S, s = k % S, e = i * kSides + s;
-      auto out = [&](int q, int row) {
-        return q >= 0 ? at(from.reduced, from.odd, q, 3 * m * kSides, row * S + s) : all(0.0);
-      };
-      to.vector[p * width + e] = given(2 * p, e) - out(p, m + i) - out(p - 1, 2 * m + i);
+      auto out = [&](int q, int row) { return at(from.reduced, from.odd, q, 3 * m * kSides, row * S + s); };
+      to.vector[p * width + e] = from.vector[2 * p * width + e] - out(p, m + i) - out(p - 1, 2 * m + i);
     });
   }
 

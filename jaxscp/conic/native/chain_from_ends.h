@@ -118,7 +118,6 @@ class Chain {
 
   static double* numbers(Pack* v) { return reinterpret_cast<double*>(v); }
   static const double* numbers(const Pack* v) { return reinterpret_cast<const double*>(v); }
-  double& number(Pack* panel, int j, int i) const { return numbers(panel + j * column())[i]; }
 
   // Eight rows of a column, for eight places each, to the links among them that are from ``begin`` to ``end``.
   template <typename Rows, typename To>
