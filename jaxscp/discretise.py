@@ -10,9 +10,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxscp import runge_kutta
+from jaxscp import runge_kutta, sweeps
 from jaxscp.problem import OptimalControlProblem
-from jaxscp.sweeps import Intervals, controls_at, sweep
+from jaxscp.sweeps import Intervals, controls_at, without_data
 
 METHOD = runge_kutta.CLASSICAL
 
@@ -48,11 +48,10 @@ def discretise(
         z: reference, (nodes, variables).
         substeps: RK4 steps an interval; the error falls with their fourth power.
     """
-
+    w = interval_inputs(problem, z)
     intervals = Intervals(problem.slope, problem.state_size, METHOD, substeps, substeps)
-    found, n = sweep(intervals, interval_inputs(problem, z)), problem.state_size
-    path, tangent = found.path[:, 0], found.tangent[:, 0]
-    return Discretisation(path[:, :n], path[:, n], tangent[:, :n], tangent[:, n])
+    found, jacobian = sweeps.linear(intervals, w, without_data(intervals, w.shape[0]))
+    return Discretisation(found.end, found.cost, jacobian.end, jacobian.cost)
 
 
 def propagate(problem: OptimalControlProblem, z: Float[Array, "nodes variables"], substeps: int):

@@ -6,19 +6,18 @@ points by a margin: where a value's second difference over three points is d, th
 d / 8 at most (to fourth order), so that much, and a tenth more, is asked for at the points.
 """
 
-from collections.abc import Callable
+import functools
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxscp import runge_kutta
-from jaxscp.constraints import AcrossIntervals, AtNodes, Constraint, SecondOrder
+from jaxscp import runge_kutta, sweeps
+from jaxscp.constraints import AcrossIntervals, Constraint, SecondOrder, Throughout
 from jaxscp.discretise import interval_inputs
 from jaxscp.problem import OptimalControlProblem
-from jaxscp.sweeps import controls_at
-from jaxscp.types import Scalar
+from jaxscp.sweeps import Block, Given, Intervals, Outcome, Watch
 
 METHOD = runge_kutta.SIXTH_ORDER
 RESERVE = 1.1  # of the margin: a path may bend more between the points than at them
@@ -64,57 +63,117 @@ class Linearisation(eqx.Module):
     jacobian: Outputs
 
 
-def interval_outputs(problem: OptimalControlProblem, w: Float[Array, "inputs"], given, grid: Grid) -> Outputs:
-    """Fly one interval; ``given`` is its entry of ``interval_data``."""
-    return path_outputs(problem, *fly(problem, w, grid), given)
-
-
-def path_outputs(
-    problem: OptimalControlProblem,
-    states: Float[Array, "points states"],
-    controls: Float[Array, "points inputs"],
-    cost: Scalar,
-    given,
-) -> Outputs:
-    """What a flown interval gives, from its states and controls (with dilation) at the points."""
-    parameters, keep = given
-    values = tuple(
-        _values(problem, constraint, p, keep, states, controls)
-        for constraint, p in zip(problem.constraints, parameters, strict=True)
-    )
-    return Outputs(states[-1], cost, values)
-
-
 @eqx.filter_jit  # traced once for all calls of one program
 def evaluate(problem: OptimalControlProblem, z: Float[Array, "nodes variables"], grid: Grid) -> Outputs:
     """Outputs of every interval."""
-    one = lambda w, p: interval_outputs(problem, w, p, grid)  # noqa: E731
-    return jax.vmap(one)(interval_inputs(problem, z), interval_data(problem, grid))
+    found = sweeps.outcomes(intervals_of(problem, grid), interval_inputs(problem, z), given(problem, grid))
+    return outputs(problem, found)
 
 
+@eqx.filter_jit
 def linearise(
-    problem: OptimalControlProblem,
-    z: Float[Array, "nodes variables"],
-    grid: Grid,
-    outputs: Callable[..., Outputs] = interval_outputs,
+    problem: OptimalControlProblem, z: Float[Array, "nodes variables"], grid: Grid
 ) -> Linearisation:
-    """Outputs of every interval and their Jacobians, by forward mode through the integration that ``outputs`` does."""
-
-    def one(w, given):
-        push = lambda v: jax.jvp(lambda w: outputs(problem, w, given, grid), (w,), (v,))  # noqa: E731
-        return Linearisation(*jax.vmap(push, out_axes=(None, -1))(jnp.eye(w.shape[0], dtype=w.dtype)))
-
-    return jax.vmap(one)(interval_inputs(problem, z), interval_data(problem, grid))
+    """Outputs of every interval and their Jacobians."""
+    found = sweeps.linear(intervals_of(problem, grid), interval_inputs(problem, z), given(problem, grid))
+    return Linearisation(*(outputs(problem, part) for part in found))
 
 
-def interval_data(problem: OptimalControlProblem, grid: Grid):
+def intervals_of(problem: OptimalControlProblem, grid: Grid) -> Intervals:
+    """What a pass through the intervals of a flight goes through."""
+    asked = _Asked(problem)
+    blocks = tuple(
+        Block(rows, rows, _second_order_less_margin)
+        if isinstance(c.cone, SecondOrder)
+        else Block(rows, 1, _less_margin)
+        for c, rows in zip(problem.constraints, _rows(problem), strict=True)
+        if isinstance(c.where, Throughout)
+    )
+    watch = Watch(asked.at_point, asked.of_ends, blocks)
+    return Intervals(problem.slope, problem.state_size, METHOD, grid.all_steps, grid.steps, watch)
+
+
+def given(problem: OptimalControlProblem, grid: Grid) -> Given:
     """For every interval: each constraint's parameters at its first node, and where the margin is kept.
 
     The flight's two ends have none: there the boundary decides, and a goal may lie on the floor of its corridor.
     """
-    parameters = tuple(jax.tree.map(lambda p: p[:-1], c.parameters) for c in problem.constraints)
+    parameters = [jax.tree.map(lambda p: p[:-1], c.parameters) for c in problem.constraints]
     keep = jnp.ones((problem.nodes - 1, grid.points + 1)).at[0, 0].set(0.0).at[-1, -1].set(0.0)
-    return parameters, keep
+    return Given(*_sorted(problem, parameters), keep)
+
+
+def outputs(problem: OptimalControlProblem, found: Outcome) -> Outputs:
+    """What a pass found (or its Jacobian), by constraints."""
+    rows = [n for c, n in zip(problem.constraints, _rows(problem), strict=True) if not _throughout(c)]
+    points, before, values = iter(found.points), 0, []
+    for constraint in problem.constraints:
+        if _throughout(constraint):
+            values.append(next(points))
+        else:
+            count = rows.pop(0)
+            values.append(found.ends[:, None, before : before + count])
+            before += count
+    return Outputs(found.end, found.cost, tuple(values))
+
+
+def prices(problem: OptimalControlProblem, of: Outputs) -> Outcome:
+    """The adjoint of ``outputs``: prices of what a pass finds, from those of every interval's outputs."""
+    points, ends = _sorted(problem, of.values)
+    flat = [v[:, 0] for v in ends]
+    return Outcome(of.end, of.cost, points, jnp.concatenate([jnp.zeros((of.end.shape[0], 0)), *flat], axis=1))
+
+
+class _Asked(eqx.Module):
+    """The constraints' values, side by side."""
+
+    problem: OptimalControlProblem
+
+    def at_point(self, state, control, parameters) -> Float[Array, "rows"]:
+        """Of those that hold throughout."""
+        held = filter(_throughout, self.problem.constraints)
+        values = [value_at(self.problem, c, state, control, p) for c, p in zip(held, parameters, strict=True)]
+        return jnp.concatenate([jnp.zeros(0), *values])
+
+    def of_ends(self, w, parameters) -> Float[Array, "rows"]:
+        """Of the others: at the first node, or on the controls at both ends."""
+        state, first, last = jnp.split(w, [self.problem.state_size, self.problem.variables])
+        width = 1.0 / (self.problem.nodes - 1)
+        values = [
+            c.function(first, last, width, p)
+            if isinstance(c.where, AcrossIntervals)
+            else value_at(self.problem, c, state, first, p)
+            for c, p in zip(_others(self.problem), parameters, strict=True)
+        ]
+        return jnp.concatenate([jnp.zeros(0), *values])
+
+
+def _throughout(constraint: Constraint) -> bool:
+    return isinstance(constraint.where, Throughout)
+
+
+def _others(problem: OptimalControlProblem) -> list[Constraint]:
+    return [c for c in problem.constraints if not _throughout(c)]
+
+
+def _sorted(problem: OptimalControlProblem, of_constraints):
+    """What belongs to each constraint, of those that hold throughout and of the others."""
+    pairs = list(zip(problem.constraints, of_constraints, strict=True))
+    return tuple(v for c, v in pairs if _throughout(c)), tuple(v for c, v in pairs if not _throughout(c))
+
+
+def _rows(problem: OptimalControlProblem) -> list[int]:
+    """How many values each constraint has at a point."""
+
+    def value(c, v):
+        first = jax.tree.map(lambda p: p[0], c.parameters)
+        state, control = jnp.split(v, [problem.state_size])
+        if isinstance(c.where, AcrossIntervals):
+            return c.function(control, control, 1.0, first)
+        return value_at(problem, c, state, control, first)
+
+    like = jax.ShapeDtypeStruct((problem.variables,), float)
+    return [jax.eval_shape(functools.partial(value, c), like).shape[0] for c in problem.constraints]
 
 
 def active_points(constraint: Constraint, points: int) -> Bool[Array, "intervals points"]:
@@ -127,61 +186,30 @@ def active_points(constraint: Constraint, points: int) -> Bool[Array, "intervals
     return active.at[-1, -1].set(last_point)
 
 
-def fly(problem: OptimalControlProblem, w: Float[Array, "inputs"], grid: Grid, push: Array | None = None):
-    """States and controls (with dilation) at the points, and the running cost.
-
-    Args:
-        problem: gives dynamics and running cost.
-        w: the interval's variables.
-        grid: of points and steps.
-        push: (all steps, stages, states + 1), added to the slopes of the stages; of use for its derivatives.
-    """
-    n = problem.state_size
-
-    @jax.checkpoint  # reverse mode keeps no more of a stage than its state
-    def rate(share, extended):
-        return problem.slope(extended[:n], controls_at(w, n, share))
-
-    path = runge_kutta.integrate(METHOD, rate, jnp.append(w[:n], 0.0), grid.all_steps, push)
-    return at_points(problem, w, grid, path[grid.steps - 1 :: grid.steps])
-
-
-def at_points(
-    problem: OptimalControlProblem,
-    w: Float[Array, "inputs"],
-    grid: Grid,
-    path: Float[Array, "points extended"],
-):
-    """States and controls (with dilation) at the points, and the running cost, from the state and the cost so far at
-    every point but the first."""
-    n = problem.state_size
-    share = jnp.linspace(0.0, 1.0, grid.points + 1, dtype=w.dtype)
-    return jnp.concatenate([w[None, :n], path[:, :n]]), controls_at(w, n, share), path[-1, n]
-
-
-def _values(problem: OptimalControlProblem, constraint: Constraint, parameters, keep, states, controls):
-    if isinstance(constraint.where, AcrossIntervals):
-        width = 1.0 / (problem.nodes - 1)
-        return constraint.function(controls[0], controls[-1], width, parameters)[None]
-    at = lambda x, u: value_at(problem, constraint, x, u, parameters)  # noqa: E731
-    if isinstance(constraint.where, AtNodes):
-        return at(states[0], controls[0])[None]
-    values = jax.vmap(at)(states, controls)
-    return values - keep[:, None] * _margin(values, isinstance(constraint.cone, SecondOrder))
-
-
 def value_at(problem: OptimalControlProblem, constraint: Constraint, state, control, parameters):
     """A constraint's values at a whole state and a control with the dilation last."""
     physical, time = problem.split_state(state)
     return constraint.function(physical, control[:-1], time, parameters)
 
 
-def _margin(values: Float[Array, "points rows"], second_order: bool) -> Float[Array, "points rows"]:
-    """What a value may lack between points; a second-order cone's is all taken from its first component."""
+def _bend(values: Float[Array, "points rows"]) -> Float[Array, "points rows"]:
+    """Second differences, a tenth more; carried on to the ends in a straight line."""
     bend = jnp.diff(values, n=2, axis=0)
-    ends = 2.0 * bend[:1] - bend[1:2], 2.0 * bend[-1:] - bend[-2:-1]  # carried on in a straight line
-    bend = RESERVE * jnp.concatenate([ends[0], bend, ends[1]])
-    if second_order:
-        size = jnp.sqrt(jnp.sum(bend * bend, axis=1) + _KINK**2) - _KINK  # nothing at the apex
-        return jnp.zeros_like(values).at[:, 0].set(size / 8.0 * jnp.sqrt(2.0))
-    return (bend + jnp.sqrt(bend * bend + _KINK**2) - _KINK) / 16.0
+    ends = 2.0 * bend[:1] - bend[1:2], 2.0 * bend[-1:] - bend[-2:-1]
+    return RESERVE * jnp.concatenate([ends[0], bend, ends[1]])
+
+
+def _less_margin(values: Float[Array, "points 1"], keep: Float[Array, "points"]) -> Float[Array, "points 1"]:
+    """Less what a value may lack between points."""
+    bend = _bend(values)
+    return values - keep[:, None] * (bend + jnp.sqrt(bend * bend + _KINK**2) - _KINK) / 16.0
+
+
+def _second_order_less_margin(
+    values: Float[Array, "points rows"], keep: Float[Array, "points"]
+) -> Float[Array, "points rows"]:
+    """Less what a second-order cone's values may lack, all of it taken from the first component."""
+    bend = _bend(values)
+    size = jnp.sqrt(jnp.sum(bend * bend, axis=1) + _KINK**2) - _KINK  # nothing at the apex
+    lack = jnp.sqrt(2.0) / 8.0 * keep * size
+    return jnp.concatenate([values[:, :1] - lack[:, None], values[:, 1:]], axis=1)

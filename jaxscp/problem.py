@@ -119,7 +119,8 @@ class OptimalControlProblem(eqx.Module):
         self, state: Float[Array, "states"], control: Float[Array, "inputs"]
     ) -> Float[Array, "extended"]:
         """Slope of the whole state, and of the running cost after it, by the share of an interval."""
-        return jnp.append(*self.rate(state, control)) / (self.nodes - 1)
+        share = control[-1:] / (self.nodes - 1)  # of the dilation: all is in proportion to it
+        return jnp.append(*self.rate(state, jnp.append(control[:-1], share)))
 
 
 def start_condition(problem: OptimalControlProblem, state: Float[Array, "states"]):

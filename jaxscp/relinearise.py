@@ -3,46 +3,42 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxscp.intervals import (
-    Grid,
-    Linearisation,
-    Outputs,
-    linearise,
-    path_outputs,
-)
+from jaxscp.discretise import interval_inputs
+from jaxscp.intervals import Grid, Linearisation, given, intervals_of, outputs
 from jaxscp.problem import OptimalControlProblem
-from jaxscp.sweeps import controls_at
+from jaxscp.sweeps import Intervals, controls_at, in_jax
 
 
 def relinearise(
     problem: OptimalControlProblem, z: Float[Array, "nodes variables"], grid: Grid
 ) -> Linearisation:
     """What ``intervals.linearise`` says, one step of the method for every stretch between two points."""
-    return linearise(problem, z, grid, _outputs)
+    found = in_jax.linear(
+        intervals_of(problem, grid), interval_inputs(problem, z), given(problem, grid), _fly
+    )
+    return Linearisation(*(outputs(problem, part) for part in found))
 
 
-def _outputs(problem: OptimalControlProblem, w: Float[Array, "inputs"], given, grid: Grid) -> Outputs:
+def _fly(intervals: Intervals, w: Float[Array, "inputs"]) -> in_jax.Path:
     from diffrax import ConstantStepSize, Dopri8, ForwardMode, ODETerm, SaveAt, diffeqsolve  # slow to import
 
-    n = problem.state_size
-    shares = jnp.linspace(0.0, 1.0, grid.points + 1, dtype=w.dtype)
+    n, stretches = intervals.states, intervals.points - 1
 
     def rate(share, extended, w):
-        return problem.slope(extended[:n], controls_at(w, n, share))
+        return intervals.rate(extended[:n], controls_at(w, n, share))
 
     solution = diffeqsolve(
         ODETerm(rate),
         Dopri8(scan_kind="lax"),
         0.0,
         1.0,
-        1.0 / grid.points,
+        1.0 / stretches,
         jnp.append(w[:n], 0.0),
         args=w,
-        saveat=SaveAt(t0=True, steps=True),
+        saveat=SaveAt(steps=True),
         stepsize_controller=ConstantStepSize(),
         adjoint=ForwardMode(),
-        max_steps=grid.points,
+        max_steps=stretches,
         throw=False,
     )
-    path = jnp.asarray(solution.ys)
-    return path_outputs(problem, path[:, :n], controls_at(w, n, shares), path[-1, n], given)
+    return jnp.asarray(solution.ys)

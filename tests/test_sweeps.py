@@ -1,21 +1,40 @@
 """The compiled pass through the intervals against the same pass as JAX, and what it is made of."""
 
+import itertools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxscp import libraries, runge_kutta
+from jaxscp import libraries, runge_kutta, sweeps
 from jaxscp.airframes import paper_mav
+from jaxscp.discretise import interval_inputs
 from jaxscp.dynamics import DoubleIntegrator
-from jaxscp.sweeps import Intervals, compiled, native, passes, played, slopes, sweep, tape, tracing
+from jaxscp.intervals import Grid, given, intervals_of
+from jaxscp.sweeps import (
+    Block,
+    Given,
+    Intervals,
+    Watch,
+    compiled,
+    functions,
+    in_jax,
+    native,
+    played,
+    tape,
+    tracing,
+    without_data,
+)
+from tests.flights import random_nodes, short_problem
 
 needs_compiled = pytest.mark.skipif(
     not native.available(), reason="the sweep was not compiled: no C++ compiler at installation"
 )
 ROUNDING = 1e-12  # relative: the sums are those of the pass in JAX, in another order
-COUNT = 11  # intervals: a pack and a part of one
+BENT = 1e-10  # of a flight: a margin's curvature is that of a corner rounded to a tenth of a millimetre
+COUNT = 19  # intervals: a pack and a part of one
 
 
 class Rigid(eqx.Module):
@@ -57,21 +76,61 @@ RATES = {
     "no parameters": (Line(), 2, 2),
     "every operation": (Everything(jnp.array([0.7, 0.4, 1.1])), 2, 2),
 }
-METHODS = {"fourth order": runge_kutta.CLASSICAL, "sixth order": runge_kutta.SIXTH_ORDER}
+PASSES = {"outcomes": 0, "linear": 1, "curved": 2}
 
 
-def case(rate, states, controls, method, priced):
-    """Intervals and what goes in, steps of which every second one is kept."""
-    keys = jax.random.split(jax.random.key(0), 2)
+def neighbours(values, keep):
+    """A margin for each row, by the row's values at the points beside it."""
+    beside = jnp.concatenate([values[1:], values[:1]]) * values
+    return values - keep[:, None] * jnp.sqrt(1.0 + beside * beside)
+
+
+class Watched(eqx.Module):
+    """Rows at the points, and rows of the interval's variables."""
+
+    states: int = eqx.field(static=True)
+
+    def at_point(self, state, controls, data):
+        weights, limit = jax.tree.map(lambda v: v.astype(state.dtype), data)
+        rows = [
+            jnp.dot(weights, state[:2]) * controls[-1],
+            state[0] * state[1],
+            limit,
+            state[1] - controls[0],
+        ]
+        return jnp.stack([*rows, jnp.maximum(state[0], limit) ** 2])
+
+    def of_ends(self, w, data):
+        return jnp.stack([data[0] * w[0] * w[self.states], w[-1] ** 3, data[1]])
+
+
+def watch_of(states):
+    """Two rows have a margin together, three each their own."""
+    watched = Watched(states)
+    return Watch(watched.at_point, watched.of_ends, (Block(2, 2, neighbours), Block(3, 1, neighbours)))
+
+
+def case(rate, states, controls, method, order=2, watch=True):
+    """A pass and what goes in, with a point after every second step."""
+    keys = jax.random.split(jax.random.key(0), 5)
     w = 0.3 + jax.random.uniform(keys[0], (COUNT, states + 2 * controls))
-    steps = 4
-    prices = jax.random.normal(keys[1], (COUNT, steps, method.stages, states + 1)) if priced else None
-    return Intervals(rate, states, method, steps, every=2), w, prices
+    if watch:
+        intervals = Intervals(rate, states, method, 6, 2, watch_of(states))
+        point = jax.random.normal(keys[1], (COUNT, 2)), jax.random.normal(keys[2], (COUNT,))
+        data = Given(point, jax.random.normal(keys[3], (COUNT, 2)), jnp.ones((COUNT, 4)).at[0, 0].set(0.0))
+    else:
+        intervals = Intervals(rate, states, method, 4, 4)
+        data = without_data(intervals, COUNT)
+    if order < 2:
+        return intervals, w, data
+    like = jax.eval_shape(in_jax.outcomes, intervals, w, data)
+    prices = jax.tree.map(lambda v: jnp.asarray(np.random.default_rng(1).standard_normal(v.shape)), like)
+    return intervals, w, data, prices
 
 
 def assert_same(expected, found, tolerance=ROUNDING):
     for a, b in zip(jax.tree.leaves(expected), jax.tree.leaves(found), strict=True):
-        size = max(1.0, float(jnp.max(jnp.abs(a))))
+        size = float(jnp.max(jnp.abs(a), initial=1.0))
         np.testing.assert_allclose(b, a, rtol=0, atol=tolerance * size)
 
 
@@ -80,24 +139,57 @@ def uses_compiled(function, *args):
 
 
 @needs_compiled
-@pytest.mark.parametrize("priced", [False, True], ids=["path", "curvature"])
-@pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
+@pytest.mark.parametrize(
+    ("name", "method"),
+    [
+        ("outcomes", runge_kutta.CLASSICAL),
+        ("linear", runge_kutta.CLASSICAL),
+        ("curved", runge_kutta.SIXTH_ORDER),
+    ],
+    ids=PASSES,
+)
 @pytest.mark.parametrize("rate", RATES.values(), ids=RATES)
-def test_it_is_the_pass_in_jax(rate, method, priced):
-    intervals, w, prices = case(*rate, method, priced)
-    assert uses_compiled(sweep, intervals, w, prices)
-    assert_same(jax.jit(passes.in_jax)(intervals, w, prices), jax.jit(sweep)(intervals, w, prices))
+def test_it_is_the_pass_in_jax(rate, name, method):
+    arguments = case(*rate, method, PASSES[name])
+    ours = getattr(sweeps, name)
+    assert uses_compiled(ours, *arguments)
+    assert_same(jax.jit(getattr(in_jax, name))(*arguments), jax.jit(ours)(*arguments))
+
+
+@needs_compiled
+@pytest.mark.parametrize(
+    ("name", "grid"), [("outcomes", Grid()), ("linear", Grid(points=3, steps=2)), ("curved", Grid())]
+)
+def test_it_is_the_pass_in_jax_of_a_flight(name, grid):
+    """With everything that a scenario may ask for."""
+    problem, random = short_problem(everything=True), np.random.default_rng(0)
+    z = random_nodes(problem, 1)
+
+    def through(module):
+        def passed(problem, z, *prices):
+            asked = intervals_of(problem, grid), interval_inputs(problem, z), given(problem, grid)
+            return getattr(module, name)(*asked, *prices)
+
+        return passed
+
+    prices = ()
+    if name == "curved":
+        like = jax.eval_shape(lambda p, z: through_outcomes(p, z, grid), problem, z)
+        prices = (jax.tree.map(lambda v: jnp.asarray(random.standard_normal(v.shape)), like),)
+    assert uses_compiled(through(sweeps), problem, z, *prices)
+    expected = jax.jit(through(in_jax))(problem, z, *prices)
+    assert_same(expected, jax.jit(through(sweeps))(problem, z, *prices), tolerance=BENT)
+
+
+def through_outcomes(problem, z, grid):
+    return in_jax.outcomes(intervals_of(problem, grid), interval_inputs(problem, z), given(problem, grid))
 
 
 @pytest.mark.parametrize("rate", RATES.values(), ids=RATES)
 def test_a_tape_played_by_jax_gives_the_same(rate):
     """As it is on other devices."""
-    intervals, w, _ = case(*rate, runge_kutta.CLASSICAL, priced=False)
-
-    def by_tape(intervals, w):
-        return played.sweep(intervals, slopes.record(intervals, w.shape[1], priced=False), w)
-
-    assert_same(jax.jit(passes.in_jax)(intervals, w, None), jax.jit(by_tape)(intervals, w))
+    intervals, w, data = case(*rate, runge_kutta.CLASSICAL, order=1, watch=False)
+    assert_same(jax.jit(in_jax.linear)(intervals, w, data), jax.jit(played.linear)(intervals, w))
 
 
 @needs_compiled
@@ -106,34 +198,34 @@ def test_every_level_that_runs_here_gives_the_same(level, monkeypatch):
     library = libraries.library(native.STEM, level)
     if library is None:
         pytest.skip(f"{level} is not built for this kind of machine, or it lacks the instructions")
-    arguments = case(*RATES["every operation"], runge_kutta.CLASSICAL, True)
-    expected = jax.jit(sweep)(*arguments)
+    arguments = case(*RATES["every operation"], runge_kutta.CLASSICAL)
+    expected = jax.jit(sweeps.curved)(*arguments)
     target = f"jaxscp_test_sweep_{level}"
     assert libraries.register(library, native.TARGET, target=target)
     monkeypatch.setattr(native, "TARGET", target)
     monkeypatch.setattr(native, "available", lambda: True)
     jax.clear_caches()
-    assert_same(expected, jax.jit(lambda *a: sweep(*a))(*arguments))
+    assert_same(expected, jax.jit(lambda *a: sweeps.curved(*a))(*arguments))
 
 
 @needs_compiled
 def test_lanes_have_their_own_parameters_and_do_not_touch():
     """Batched twice, one lane with NaN: packs hold intervals of several lanes."""
     rate, states, controls = RATES["every operation"]
-    _, w, prices = case(rate, states, controls, runge_kutta.CLASSICAL, True)
+    intervals, w, data, prices = case(rate, states, controls, runge_kutta.CLASSICAL)
     scales = jnp.array([[1.0, 0.5, 2.0], [0.1, jnp.nan, 1.5]])
 
     def one(scale):
-        scaled = Everything(rate.weight * scale)
-        return sweep(Intervals(scaled, states, runge_kutta.CLASSICAL, 4), w * scale, prices)
+        scaled = eqx.tree_at(lambda i: i.rate, intervals, Everything(rate.weight * scale))
+        return sweeps.curved(scaled, w * scale, data, prices)
 
     found = jax.tree.map(lambda v: v.reshape(6, *v.shape[2:]), jax.jit(jax.vmap(jax.vmap(one)))(scales))
     for lane, scale in enumerate(scales.ravel()):
         alone = jax.jit(one)(scale)
         for a, b in zip(jax.tree.leaves(alone), jax.tree.leaves(found), strict=True):
             np.testing.assert_array_equal(a, b[lane])
-    assert not np.isfinite(found.path[4]).any()
-    assert np.isfinite(found.path[5]).all()
+    assert not np.isfinite(found[0].end[4]).any()
+    assert np.isfinite(found[2][5]).all()
 
 
 @needs_compiled
@@ -146,41 +238,52 @@ def test_no_number_stays_none(which):
             x, y = state
             return jnp.stack([jnp.maximum(x, y), jnp.minimum(x, y), control[0]])
 
-    intervals, w, _ = case(Bent(), 2, 2, runge_kutta.CLASSICAL, False)
+    intervals, w, data = case(Bent(), 2, 2, runge_kutta.CLASSICAL, order=0, watch=False)
     w = w.at[3, which].set(jnp.nan)
-    assert uses_compiled(sweep, intervals, w)
-    expected, found = (np.isnan(f(intervals, w, None).path) for f in (passes.in_jax, jax.jit(sweep)))
-    assert expected[3].sum() == 4  # both states, of both points that are kept
+    assert uses_compiled(sweeps.outcomes, intervals, w, data)
+    expected, found = (np.isnan(jax.jit(m.outcomes)(intervals, w, data).end) for m in (in_jax, sweeps))
+    assert expected[3].all()
     np.testing.assert_array_equal(found, expected)
 
 
-@needs_compiled
-def test_what_is_no_arithmetic_is_left_to_jax():
-    class Solves(eqx.Module):
-        def __call__(self, state, control):
-            matrix = jnp.eye(2) + 0.1 * jnp.outer(state, state)
-            return jnp.append(jnp.linalg.solve(matrix, state), control[0])
+class Solves(eqx.Module):
+    """No arithmetic alone."""
 
-    intervals, w, _ = case(Solves(), 2, 2, runge_kutta.CLASSICAL, False)
-    assert not uses_compiled(sweep, intervals, w)
-    assert_same(passes.in_jax(intervals, w, None), sweep(intervals, w))
+    def __call__(self, state, control):
+        matrix = jnp.eye(2) + 0.1 * jnp.outer(state, state)
+        return jnp.append(jnp.linalg.solve(matrix, state), control[0])
+
+
+@needs_compiled
+@pytest.mark.parametrize("name", PASSES)
+def test_what_is_no_arithmetic_is_left_to_jax(name):
+    order = PASSES[name]
+    ours, theirs = getattr(sweeps, name), getattr(in_jax, name)
+    by_rate = case(Solves(), 2, 2, runge_kutta.CLASSICAL, order)
     rate, states, controls = RATES["no parameters"]
-    intervals, w, _ = case(rate, states, controls, runge_kutta.CLASSICAL, False)
-    assert not uses_compiled(sweep, intervals, w.astype(jnp.float32))
+    intervals, w, data, *prices = case(rate, states, controls, runge_kutta.CLASSICAL, order)
+    whole = jax.tree.map(lambda v: v.astype(int), data.point)
+    for arguments in (by_rate, (intervals, w, Given(whole, data.ends, data.keep), *prices)):
+        assert not uses_compiled(ours, *arguments)
+        assert_same(jax.jit(theirs)(*arguments), jax.jit(ours)(*arguments))
+    assert uses_compiled(ours, intervals, w, data, *prices)
+    single = jax.tree.map(lambda v: v.astype(jnp.float32), (w, data, *prices))
+    assert not uses_compiled(ours, intervals, *single)
 
 
 @needs_compiled
-def test_derivatives_are_those_of_the_pass_in_jax():
-    intervals, w, _ = case(*RATES["every operation"], runge_kutta.CLASSICAL, False)
+@pytest.mark.parametrize("name", ["outcomes", "linear"])
+def test_derivatives_are_those_of_the_pass_in_jax(name):
+    intervals, w, data = case(*RATES["every operation"], runge_kutta.CLASSICAL, order=1)
 
-    def measured(through):
-        def total(rate, w):
-            found = through(eqx.tree_at(lambda i: i.rate, intervals, rate), w, None)
-            return jnp.sum(jnp.sin(found.path)) + jnp.sum(found.tangent**2)
+    def measured(module):
+        def total(rate, w, data):
+            found = getattr(module, name)(eqx.tree_at(lambda i: i.rate, intervals, rate), w, data)
+            return sum(jnp.sum(jnp.sin(v)) for v in jax.tree.leaves(found))
 
-        return jax.jit(jax.grad(total, argnums=(0, 1)))(intervals.rate, w)
+        return jax.jit(jax.grad(total, argnums=(0, 1, 2)))(intervals.rate, w, data)
 
-    assert_same(measured(passes.in_jax), measured(sweep))
+    assert_same(measured(in_jax), measured(sweeps))
 
 
 def test_only_what_can_be_is_not_zero():
@@ -189,8 +292,7 @@ def test_only_what_can_be_is_not_zero():
 
     @jax.jit
     def look(rate):
-        intervals, w, _ = case(rate, states, controls, runge_kutta.CLASSICAL, False)
-        found.append(slopes.record(intervals, w.shape[1], True))
+        found.append(functions.record(lambda a: rate(a[:states], a[states:]), states + controls, (), order=2))
         return 0.0
 
     found = []
@@ -204,6 +306,21 @@ def test_only_what_can_be_is_not_zero():
     first = compiled.first_inputs(found[0].jacobian, states, w_size := states + 2 * controls)
     assert list(first) == [0, 1, 2, 3, 4, 5, *[6] * 4, *[10] * 3, 13]
     assert w_size == 23
+
+
+def test_what_is_of_one_kind_is_played_in_runs():
+    """And still after what it is made of."""
+
+    def function(v):
+        return jnp.stack([v[0] * v[1] - v[2], (v[0] - v[1]) * v[2], (v[1] - v[2]) * v[0] * v[0]])
+
+    (outputs,) = tracing.trace(function, (3,)).outputs
+    recorded = tape.record(list(outputs), 3)
+    codes = [int(code) for code in recorded.operations[:, 0]]
+    runs = 1 + sum(a != b for a, b in itertools.pairwise(codes))
+    assert runs <= 3
+    v = [jnp.array(x) for x in (1.1, 0.3, -2.0)]
+    np.testing.assert_allclose(played.play(recorded, v, jnp.zeros(0)), function(jnp.stack(v)), rtol=ROUNDING)
 
 
 def test_equal_numbers_are_recorded_once():

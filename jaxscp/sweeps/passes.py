@@ -1,99 +1,91 @@
-"""One pass through an interval by a Runge-Kutta method: its path, the tangent of that, and the slopes' curvature.
+"""One pass through intervals: what they give, its Jacobian, and the curvature of its priced sum.
 
-With s_j the state and control that slope j is taken at, S_j their Jacobian in the interval's variables, and kappa_j the
-price of the slope, the curvature is sum_j S_j' D2(kappa_j . rate)(s_j) S_j.
+Where all is arithmetic its operations are found first: C++ plays them on a CPU, if it was compiled. On other devices
+JAX plays those of the slopes, where nothing else is asked. Derivatives of a pass are those of the pass in JAX.
 """
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxscp import runge_kutta
-from jaxscp.sweeps import compiled, played
-from jaxscp.sweeps.intervals import Intervals, Pass, controls_at
-from jaxscp.sweeps.slopes import record
+from jaxscp.sweeps import compiled, in_jax, played, tracing
+from jaxscp.sweeps.intervals import Given, Intervals, Outcome
 
 
-def sweep(
-    intervals: Intervals,
-    w: Float[Array, "intervals inputs"],
-    prices: Float[Array, "intervals steps stages extended"] | None = None,
-) -> Pass:
-    """Go through intervals once.
+def outcomes(intervals: Intervals, w: Float[Array, "intervals inputs"], given: Given) -> Outcome:
+    """What every interval gives."""
+    return _outcomes(intervals, w, given)
 
-    Where the rate is arithmetic its operations are found first: C++ plays them on a CPU, if it was compiled, and JAX on
-    other devices. Derivatives are those of the pass in JAX.
-    """
-    return _sweep(intervals, w, prices)
+
+def linear(
+    intervals: Intervals, w: Float[Array, "intervals inputs"], given: Given
+) -> tuple[Outcome, Outcome]:
+    """That, and its Jacobian."""
+    return _linear(intervals, w, given)
+
+
+def curved(
+    intervals: Intervals, w: Float[Array, "intervals inputs"], given: Given, prices: Outcome
+) -> tuple[Outcome, Outcome, Float[Array, "intervals inputs inputs"]]:
+    """Those, and the second derivatives of the sum of all that is given times its price."""
+    return _curved(intervals, w, given, prices)
 
 
 @eqx.filter_custom_jvp
-def _sweep(intervals: Intervals, w: Array, prices: Array | None) -> Pass:
-    only_cpu = jax.default_backend() == "cpu"  # which spares tracing what another device would run
-    in_cpp = compiled.serves(w)
-    # not the curvature, for each entry of which XLA would do again what leads to it
-    by_tape = not only_cpu and prices is None
-    slopes = record(intervals, w.shape[-1], prices is not None) if in_cpp or by_tape else None
-    if slopes is None:
-        return in_jax(intervals, w, prices)
-
-    def cpu(w, prices):
-        return compiled.sweep(intervals, slopes, w, prices)
-
-    def elsewhere(w, prices):
-        return played.sweep(intervals, slopes, w) if by_tape else in_jax(intervals, w, prices)
-
-    if only_cpu:
-        return cpu(w, prices)
-    if not in_cpp:
-        return elsewhere(w, prices)
-    return jax.lax.platform_dependent(w, prices, cpu=cpu, default=elsewhere)
+def _outcomes(intervals: Intervals, w: Array, given: Given) -> Outcome:
+    cpu = _in_cpp(intervals, w, given, order=0)
+    (found,) = _choose(cpu, lambda w, given: (in_jax.outcomes(intervals, w, given),), w, given)
+    return found
 
 
-@_sweep.def_jvp
+@_outcomes.def_jvp
 def _(primals, tangents):
-    return eqx.filter_jvp(in_jax, primals, tangents)
+    return eqx.filter_jvp(in_jax.outcomes, primals, tangents)
 
 
-def in_jax(intervals: Intervals, w: Array, prices: Array | None) -> Pass:
-    """The pass as JAX does it."""
-    return Pass(*jax.vmap(lambda w, prices: _one(intervals, w, prices))(w, prices))
+@eqx.filter_custom_jvp
+def _linear(intervals: Intervals, w: Array, given: Given) -> tuple[Outcome, Outcome]:
+    def elsewhere(w, given):
+        by_tape = jax.default_backend() != "cpu" and not intervals.watch.blocks
+        try:
+            return played.linear(intervals, w) if by_tape else in_jax.linear(intervals, w, given)
+        except tracing.CannotTrace:
+            return in_jax.linear(intervals, w, given)
+
+    return _choose(_in_cpp(intervals, w, given, order=1), elsewhere, w, given)
 
 
-def _one(
-    intervals: Intervals, w: Float[Array, "inputs"], prices: Array | None
-) -> tuple[Array, Array, Array | None]:
-    n, size = intervals.states, 1.0 / intervals.steps
-    directions = jnp.eye(w.shape[0], dtype=w.dtype)
+@_linear.def_jvp
+def _(primals, tangents):
+    return eqx.filter_jvp(in_jax.linear, primals, tangents)
 
-    def priced(argument, price):
-        return jnp.dot(intervals.rate(argument[:n], argument[n:]), price)
 
-    def forward(carry, at):
-        extended, tangent, curvature = carry
-        share, price = at
+@eqx.filter_custom_jvp
+def _curved(intervals: Intervals, w: Array, given: Given, prices: Outcome):
+    cpu = _in_cpp(intervals, w, given, order=2)
+    return _choose(cpu, lambda *args: in_jax.curved(intervals, *args), w, given, prices)
 
-        def step(extended, w):
-            rate = lambda share, x: intervals.rate(x[:n], controls_at(w, n, share))  # noqa: E731
-            after, states = runge_kutta.step(intervals.method, rate, share, extended, size)
-            shares = share + size * jnp.asarray(intervals.method.shares, w.dtype)
-            return after, jnp.concatenate([states[:, :n], controls_at(w, n, shares)], axis=1)
 
-        push = lambda dx, dw: jax.jvp(step, (extended, w), (dx, dw))  # noqa: E731
-        pushed = jax.vmap(push, in_axes=-1, out_axes=(None, -1))(tangent, directions)
-        (extended, arguments), (tangent, moved) = pushed
-        if price is not None:
-            second = jax.vmap(jax.hessian(priced))(arguments, price)
-            curvature += jnp.tensordot(moved, second @ moved, axes=((0, 1), (0, 1)))
-        return (extended, tangent, curvature), (extended, tangent)
+@_curved.def_jvp
+def _(primals, tangents):
+    return eqx.filter_jvp(in_jax.curved, primals, tangents)
 
-    start = (
-        jnp.append(w[:n], 0.0),
-        jnp.eye(n + 1, w.shape[0], dtype=w.dtype).at[n].set(0.0),
-        None if prices is None else jnp.zeros_like(directions),
-    )
-    begins = size * jnp.arange(intervals.steps, dtype=w.dtype)
-    (_, _, curvature), (path, tangents) = jax.lax.scan(forward, start, (begins, prices))
-    kept = slice(intervals.every - 1, None, intervals.every)
-    return path[kept], tangents[kept], curvature
+
+def _in_cpp(intervals: Intervals, w: Array, given: Given, order: int):
+    """The pass in C++ as a function of (w, given, prices); None where it cannot be."""
+    if not compiled.serves(w):
+        return None
+    try:
+        found = compiled.record(intervals, w.shape[-1], given, order)
+    except tracing.CannotTrace:
+        return None
+    return lambda w, given, prices=None: compiled.sweep(intervals, found, w, given, prices, order)
+
+
+def _choose(cpu, elsewhere, *args):
+    """The function of a device; that of another is not traced where there is none."""
+    if cpu is None:
+        return elsewhere(*args)
+    if jax.default_backend() == "cpu":
+        return cpu(*args)
+    return jax.lax.platform_dependent(*args, cpu=cpu, default=elsewhere)

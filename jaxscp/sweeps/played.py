@@ -11,8 +11,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxscp.sweeps import tape
-from jaxscp.sweeps.intervals import Intervals, Pass
-from jaxscp.sweeps.slopes import Slopes
+from jaxscp.sweeps.functions import record
+from jaxscp.sweeps.intervals import Intervals, Outcome
 
 _UNARY: dict[str, Callable[..., Array]] = {
     "reciprocal": lambda a: 1.0 / a,
@@ -53,10 +53,15 @@ def play(recorded: tape.Tape, arguments: list[Array], parameters: Float[Array, "
     return [places[v] for v in recorded.outputs.tolist()]
 
 
-def sweep(intervals: Intervals, slopes: Slopes, w: Float[Array, "intervals inputs"]) -> Pass:
-    """The pass without prices, with operations already found."""
+def linear(intervals: Intervals, w: Float[Array, "intervals inputs"]) -> tuple[Outcome, Outcome]:
+    """Outcomes and Jacobians of intervals whose points nothing is asked of.
+
+    Raises:
+        CannotTrace: if the slopes are not arithmetic alone.
+    """
     n, inputs = intervals.states, w.shape[1]
     m, size = intervals.controls(inputs), 1.0 / intervals.steps
+    slopes = record(lambda a: intervals.rate(a[:n], a[n:]), n + m, (), order=1)
     method = intervals.method
     columns = w.T
     directions = jnp.eye(inputs, dtype=w.dtype)[:, :, None]
@@ -74,7 +79,8 @@ def sweep(intervals: Intervals, slopes: Slopes, w: Float[Array, "intervals input
         """Slopes, and their tangents."""
         controls = [columns[n + k] + share * (columns[n + m + k] - columns[n + k]) for k in range(m)]
         pulled = [(1.0 - share) * directions[n + k] + share * directions[n + m + k] for k in range(m)]
-        outputs = play(slopes.tape, [*state[:n], *controls], slopes.parameters)
+        free_of_charge = [jnp.zeros_like(columns[0])] * (n + 1)
+        outputs = play(slopes.first, [*state[:n], *controls, *free_of_charge], slopes.parameters[0])
         moved = [*tangent[:n], *pulled]
         pushed = [jnp.zeros_like(row) for row in tangent]
         for (r, k), entry in zip(slopes.jacobian.tolist(), outputs[n + 1 :], strict=True):
@@ -85,22 +91,22 @@ def sweep(intervals: Intervals, slopes: Slopes, w: Float[Array, "intervals input
         state, tangent = carry
         ways, pushed = [], []
         for share, weights in zip(method.shares.tolist(), method.table.tolist(), strict=True):
-            at = size * (step.astype(w.dtype) + share)
+            at = size * (jnp.asarray(step, w.dtype) + share)
             found = stage(at, after(state, weights, ways), after(tangent, weights, pushed))
             ways.append(found[0])
             pushed.append(found[1])
         weights = method.weights.tolist()
         return after(state, weights, ways), after(tangent, weights, pushed)
 
-    def to_next_kept(carry, begin):
-        carry = jax.lax.fori_loop(begin, begin + intervals.every, forward, carry)
-        return carry, carry
-
     like = jnp.zeros((inputs, w.shape[0]), w.dtype)
     start = [*columns[:n], jnp.zeros_like(columns[0])], [like + directions[r] for r in range(n)] + [like]
-    begins = jnp.arange(0, intervals.steps, intervals.every)
-    _, (path, tangents) = jax.lax.scan(to_next_kept, start, begins)
-    path, tangent = jnp.stack(path, -1), jnp.stack(tangents, -1)
-    found = Pass(jnp.moveaxis(path, 1, 0), jnp.transpose(tangent, (2, 0, 3, 1)), None)
+    path, tangents = jax.lax.fori_loop(0, intervals.steps, forward, start)
     # what reads of it is not to put it together from its rows anew
-    return jax.lax.optimization_barrier(found)
+    end, jacobian = jax.lax.optimization_barrier(
+        (jnp.stack(path, -1), jnp.transpose(jnp.stack(tangents), (2, 0, 1)))
+    )
+    none, count = (), w.shape[0]
+    return (
+        Outcome(end[:, :n], end[:, n], none, jnp.zeros((count, 0))),
+        Outcome(jacobian[:, :n], jacobian[:, n], none, jnp.zeros((count, 0, inputs))),
+    )

@@ -3,6 +3,7 @@
 Places are used again as soon as what is in them has been read for the last time, so that they stay few.
 """
 
+import heapq
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -14,6 +15,7 @@ ARITHMETIC = """
 sum difference product reciprocal negative choice multiply_add multiply_subtract
 sqrt sin cos exp log tanh max min abs lt le gt ge eq
 """
+Step = tuple[str, Number, tuple[Number, ...]]  # what is done, what it makes, and from what
 CODES = {name: code for code, name in enumerate(ARITHMETIC.split())}  # as in ``native/tape.h``
 
 
@@ -45,6 +47,7 @@ def record(outputs: Sequence[Number], arguments: int) -> Tape:
     inside = set(absorbed.values())
     steps = [_step(n, absorbed.get(n)) for n in order if n.operands and n not in inside]
     once = sum(n not in varying for _, n, _ in steps)
+    steps = _in_runs(steps[:once]) + _in_runs(steps[once:])
     kept = {n for n in order if n not in varying or not n.operands} | set(outputs)
     last = {v: i for i, (_, _, operands) in enumerate(steps) for v in operands}
     free: list[int] = []
@@ -111,7 +114,32 @@ def _products_to_absorb(
     return found
 
 
-def _step(n: Number, product: Number | None) -> tuple[str, Number, tuple[Number, ...]]:
+def _in_runs(steps: list[Step]) -> list[Step]:
+    """The same, put so that many of one kind follow each other: what is to be done is then looked up less often."""
+    waiting = {n: 0 for _, n, _ in steps}
+    readers: dict[Number, list[int]] = {n: [] for n in waiting}
+    for i, (_, n, operands) in enumerate(steps):
+        for v in {v for v in operands if v in waiting}:
+            waiting[n] += 1
+            readers[v].append(i)
+    ready: dict[str, list[int]] = {kind: [] for kind, *_ in steps}
+    for i, (kind, n, _) in enumerate(steps):
+        if waiting[n] == 0:
+            heapq.heappush(ready[kind], i)
+    found: list[Step] = []
+    while any(ready.values()):
+        run = ready[max(ready, key=lambda kind: len(ready[kind]))]
+        while run:
+            found.append(steps[heapq.heappop(run)])
+            for i in readers[found[-1][1]]:
+                kind, n, _ = steps[i]
+                waiting[n] -= 1
+                if waiting[n] == 0:
+                    heapq.heappush(ready[kind], i)
+    return found
+
+
+def _step(n: Number, product: Number | None) -> Step:
     """The operation that makes a number, and what it reads."""
     if product is None:
         return n.kind, n, n.operands

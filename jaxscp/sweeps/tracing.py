@@ -163,10 +163,9 @@ class _Run:
             return _each(functools.partial(graph.other, name, _KNOWN[name]), *inputs)
         if name == "integer_pow":
             return _each(functools.partial(self.power, given["y"]), *inputs)
-        if name == "reduce_sum":
-            return self.total(
-                np.moveaxis(inputs[0], given["axes"], range(len(given["axes"]))), len(given["axes"])
-            )
+        if name in _REDUCTIONS:
+            axes = given["axes"]
+            return self.reduced(_REDUCTIONS[name], np.moveaxis(inputs[0], axes, range(len(axes))), len(axes))
         if name == "convert_element_type" and given["new_dtype"] == jnp.float64:
             return inputs[0]
         if name == "dot_general":
@@ -183,12 +182,16 @@ class _Run:
         whole = self.graph.product(half, half)
         return self.graph.product(whole, base) if exponent % 2 else whole
 
-    def total(self, values: np.ndarray, axes: int) -> np.ndarray:
-        """Sum over the leading axes."""
+    def reduced(self, by: str, values: np.ndarray, axes: int) -> np.ndarray:
+        """Sum, or greatest or least, over the leading axes."""
         left = values.shape[axes:]
-        found = self.lifted(np.zeros(left))
+        if by == "sum":
+            function, found = self.graph.sum, self.lifted(np.zeros(left))
+        else:
+            function = functools.partial(self.graph.other, by, _KNOWN[by])
+            found = self.lifted(np.full(left, -np.inf if by == "max" else np.inf))
         for one in values.reshape(-1, 1, *left):
-            found = _each(self.graph.sum, found, one[0] if left else one)
+            found = _each(function, found, one[0] if left else one)
         return found.reshape(left)
 
     def dot(self, dimensions: Any, a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -201,7 +204,7 @@ class _Run:
         a = a.reshape(a.shape + (1,) * len(free_b))
         split = len(sum_b) + len(batch_b)
         b = b.reshape(b.shape[:split] + (1,) * len(free_a) + b.shape[split:])
-        return self.total(_each(self.graph.product, a, b), len(sum_a))
+        return self.reduced("sum", _each(self.graph.product, a, b), len(sum_a))
 
 
 def _is_variable(v: Any) -> bool:
@@ -251,6 +254,7 @@ def _split(a: np.ndarray, sizes: Any, axis: int, **_: Any) -> list[np.ndarray]:
     return np.split(a, np.cumsum(sizes)[:-1], axis)
 
 
+_REDUCTIONS = {"reduce_sum": "sum", "reduce_max": "max", "reduce_min": "min"}
 _CALLS = ("jit", "pjit", "closed_call", "custom_jvp_call", "custom_vjp_call", "remat", "checkpoint")
 
 # Where numbers go, and not what they become.

@@ -2,9 +2,14 @@
 
 In the order in which they build on each other:
 
-    tape.h       operations on numbers, for sixteen intervals at once
-    sweep.h      the Runge-Kutta method with its tangents and the curvature
-    handler.cc   what XLA calls
+    tape.h         operations on numbers, for sixteen intervals at once
+    functions.h    a function and its derivatives, as tapes
+    sweep.h        what a pass is told
+    description.h  how it is told it
+    walk.h         the path and what it leads to
+    prices.h       from prices of that to prices of the slopes
+    tangents.h     the Jacobian and the curvature
+    handler.cc     what XLA calls
 """
 
 from pathlib import Path

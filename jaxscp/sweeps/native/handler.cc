@@ -1,99 +1,94 @@
 // What XLA calls on a CPU: sweeps the intervals of a batch of flights, sixteen at once, shared among its threads.
 
+#include "description.h"
 #include "spread.h"
-#include "sweep.h"
+#include "tangents.h"
 
 namespace jaxscp {
 namespace {
 
-template <typename T, typename Stored = T>
-bool read(const ffi::Dictionary& attrs, const char* name, Several<T>& to) {
-  auto found = attrs.get<ffi::Span<const Stored>>(name);
-  if (!found.has_value()) return false;
-  constexpr size_t each = sizeof(T) / sizeof(Stored);
-  to = {reinterpret_cast<const T*>(found->begin()), static_cast<int>(found->size() / each)};
-  return true;
-}
-
-bool read(const ffi::Dictionary& attrs, const char* name, int& to) {
-  auto found = attrs.get<int64_t>(name);
-  if (found.has_value()) to = static_cast<int>(*found);
-  return found.has_value();
-}
-
-bool read(const ffi::Dictionary& attrs, Sweep& s) {
-  int priced = 0;
-  const bool all = read(attrs, "states", s.states) && read(attrs, "controls", s.controls) &&
-                   read(attrs, "steps", s.steps) && read(attrs, "every", s.every) && read(attrs, "priced", priced) &&
-                   read(attrs, "shares", s.shares) && read(attrs, "weights", s.weights) &&
-                   read(attrs, "table", s.table) && read<Operation, int32_t>(attrs, "operations", s.operations) &&
-                   read(attrs, "once", s.once) && read(attrs, "places", s.places) &&
-                   read(attrs, "parameters", s.parameters) && read(attrs, "constants", s.constants) &&
-                   read(attrs, "outputs", s.outputs) && read<Coordinates, int32_t>(attrs, "jacobian", s.jacobian) &&
-                   read<Coordinates, int32_t>(attrs, "hessian", s.hessian) && read(attrs, "first", s.first);
-  s.priced = priced;
-  return all;
-}
-
 // The arrays that XLA passes, interval after interval; ``intervals`` of a flight share its parameters.
 struct Arrays {
-  const double *w, *parameters, *prices;
-  double *path, *tangent, *curvature;
+  const double *w, *parameters, *data, *prices;
+  double *outcomes, *jacobian, *curvature;
   int64_t count, intervals;
 };
 
-void sweep_pack(const Sweep& s, const Arrays& at, int64_t pack, SweepPack& here) {
-  const int rows = s.extended(), columns = s.inputs();
-  const int64_t begin = pack * kLanes;
-  auto lane_of = [&](int lane) { return std::min<int64_t>(begin + lane, at.count - 1); };
-  for (int lane = 0; lane < kLanes; ++lane) {
-    const double* w = at.w + lane_of(lane) * columns;
-    const double* parameters = at.parameters + lane_of(lane) / at.intervals * s.parameters;
-    for (int i = 0; i < columns; ++i) set(here.w(i), lane, w[i]);
-    for (int i = 0; i < s.parameters; ++i) set(here.parameter(i), lane, parameters[i]);
-  }
-  auto price = [&](int step, int stage, int row) {
-    Wide p;
+// Rows of sixteen intervals, from the first of them on.
+class Lanes {
+ public:
+  Lanes(const Arrays& at, int64_t pack) : at_(at), begin_(pack * kLanes) {}
+
+  void read(const double* from, int width, Wide* to) const {
     for (int lane = 0; lane < kLanes; ++lane)
-      set(p, lane, at.prices[((lane_of(lane) * s.steps + step) * s.stages() + stage) * rows + row]);
-    return p;
-  };
-  const int lanes = static_cast<int>(std::min<int64_t>(kLanes, at.count - begin));
-  auto keep = [&](int point) {
-    for (int lane = 0; lane < lanes; ++lane) {
-      const int64_t to = (begin + lane) * s.kept() + point;
-      for (int i = 0; i < rows; ++i) at.path[to * rows + i] = get(here.path()[i], lane);
-      for (int i = 0; i < rows * columns; ++i) at.tangent[to * rows * columns + i] = get(here.tangent()[i], lane);
+      for (int i = 0; i < width; ++i) set(to[i], lane, from[interval(lane) * width + i]);
+  }
+
+  void write(const Wide* from, int width, double* to) const {
+    for (int lane = 0; lane < kLanes && begin_ + lane < at_.count; ++lane)
+      for (int i = 0; i < width; ++i) to[(begin_ + lane) * width + i] = get(from[i], lane);
+  }
+
+  // Parameters of a flight, tape after tape; the last interval's serve the lanes behind it too.
+  void read_parameters(const std::vector<Player*>& tapes, int width) const {
+    for (int lane = 0; lane < kLanes; ++lane) {
+      const double* from = at_.parameters + interval(lane) / at_.intervals * width;
+      for (Player* tape : tapes)
+        for (int i = 0; i < tape->parameter_count(); ++i) set(tape->parameters()[i], lane, *from++);
     }
-  };
-  here.run(price, keep);
-  if (!s.priced) return;
-  for (int lane = 0; lane < lanes; ++lane)
-    for (int i = 0; i < columns * columns; ++i)
-      at.curvature[(begin + lane) * columns * columns + i] = get(here.curvature()[i], lane);
+  }
+
+ private:
+  int64_t interval(int lane) const { return std::min<int64_t>(begin_ + lane, at_.count - 1); }
+
+  const Arrays& at_;
+  int64_t begin_;
+};
+
+void sweep_pack(const Sweep& s, const Arrays& at, int64_t pack, Memory& memory) {
+  memory.again();
+  Walk walk(s, memory);
+  Prices prices(s, walk, memory);
+  Tangents tangents(s, walk, prices, memory);
+  const Lanes lanes(at, pack);
+  std::vector<Player*> tapes;
+  auto note = [&](Player& tape) { tapes.push_back(&tape); };
+  walk.for_tapes(note), tangents.for_tapes(note);
+  int width = 0;
+  for (Player* tape : tapes) width += tape->parameter_count();
+  lanes.read(at.w, s.inputs(), walk.w());
+  lanes.read(at.data, s.data(), walk.data());
+  lanes.read_parameters(tapes, width);
+  walk.run();
+  lanes.write(walk.outcomes(), s.outcomes(), at.outcomes);
+  if (s.order == 0) return;
+  if (s.order == 2) {
+    lanes.read(at.prices, s.outcomes(), prices.outcomes());
+    prices.run();
+  }
+  tangents.run();
+  lanes.write(tangents.outcomes(), s.outcomes() * s.inputs(), at.jacobian);
+  if (s.order == 2) lanes.write(tangents.curvature(), s.inputs() * s.inputs(), at.curvature);
 }
 
-ffi::Error sweep(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::RemainingRets rets, ffi::Dictionary attrs) {
-  Sweep s;
-  if (!read(attrs, s)) return ffi::Error::InvalidArgument("the sweep lacks an attribute");
+ffi::Error sweep(ffi::ThreadPool pool, ffi::Span<const int32_t> whole, ffi::Span<const double> real,
+                 ffi::RemainingArgs args, ffi::RemainingRets rets) {
+  const Sweep s = described(whole.begin(), real.begin());
   if (s.stages() > kMaxStages) return ffi::Error::InvalidArgument("the Runge-Kutta method has too many stages");
-  auto w = args.get<ffi::AnyBuffer>(0), parameters = args.get<ffi::AnyBuffer>(1);
-  if (!w.has_value() || !parameters.has_value() || args.size() != (s.priced ? 3u : 2u) ||
-      rets.size() != (s.priced ? 3u : 2u))
+  if (args.size() != (s.order == 2 ? 4u : 3u) || rets.size() != 1u + s.order)
     return ffi::Error::InvalidArgument("the sweep lacks an array");
-  const auto shape = w->dimensions();
+  auto given = [&](size_t i) { return args.get<ffi::AnyBuffer>(i)->typed_data<double>(); };
+  auto found = [&](size_t i) { return (*rets.get<ffi::AnyBuffer>(i))->typed_data<double>(); };
+  const auto w = *args.get<ffi::AnyBuffer>(0);
   Arrays at{};
-  at.w = w->typed_data<double>(), at.parameters = parameters->typed_data<double>();
-  at.intervals = shape[shape.size() - 2], at.count = w->element_count() / s.inputs();
-  if (s.priced) at.prices = args.get<ffi::AnyBuffer>(2)->typed_data<double>();
-  at.path = (*rets.get<ffi::AnyBuffer>(0))->typed_data<double>();
-  at.tangent = (*rets.get<ffi::AnyBuffer>(1))->typed_data<double>();
-  if (s.priced) at.curvature = (*rets.get<ffi::AnyBuffer>(2))->typed_data<double>();
+  at.intervals = w.dimensions()[w.dimensions().size() - 2], at.count = w.element_count() / s.inputs();
+  at.w = given(0), at.parameters = given(1), at.data = given(2), at.outcomes = found(0);
+  if (s.order > 0) at.jacobian = found(1);
+  if (s.order > 1) at.prices = given(3), at.curvature = found(2);
   const int64_t packs = (at.count + kLanes - 1) / kLanes;
   spread(pool, packs, [&](int64_t pack) {
-    thread_local std::vector<Wide> memory;  // to find it anew takes as long as half a sweep
-    SweepPack here(s, memory);
-    sweep_pack(s, at, pack, here);
+    thread_local Memory memory;  // to find it anew takes as long as half a sweep
+    sweep_pack(s, at, pack, memory);
   });
   return ffi::Error::Success();
 }
@@ -102,4 +97,9 @@ ffi::Error sweep(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::RemainingRe
 }  // namespace jaxscp
 
 XLA_FFI_DEFINE_HANDLER_SYMBOL(jaxscp_sweep, jaxscp::sweep,
-                              xla::ffi::Ffi::Bind().Ctx<xla::ffi::ThreadPool>().RemainingArgs().RemainingRets().Attrs());
+                              xla::ffi::Ffi::Bind()
+                                  .Ctx<xla::ffi::ThreadPool>()
+                                  .Attr<xla::ffi::Span<const int32_t>>("whole")
+                                  .Attr<xla::ffi::Span<const double>>("real")
+                                  .RemainingArgs()
+                                  .RemainingRets());

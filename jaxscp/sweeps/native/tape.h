@@ -1,4 +1,4 @@
-// A tape: operations on numbers, each for sixteen intervals at once. ``tape.py`` records them.
+// A tape: operations on numbers, each for sixteen intervals at once. ``tape.py`` records them, in runs of one kind.
 #pragma once
 
 #include <algorithm>
@@ -50,36 +50,47 @@ inline Wide both(const Wide& a, const Wide& b, Function function) {
 
 inline Pack truth(Mask mask) { return where(mask, all(1.0), all(0.0)); }
 
+// function(a, b, c) for all operations from here on that are of the same kind, to look up which only once.
+template <typename Function>
+inline const Operation* run(const Operation* at, const Operation* end, Wide* v, Function function) {
+  const int code = at->code;
+  do v[at->to] = function(v[at->a], v[at->b], v[at->c]);
+  while (++at != end && at->code == code);
+  return at;
+}
+
 inline void play(const Operation* at, const Operation* end, Wide* v) {
-  for (; at != end; ++at) {
-    const Wide a = v[at->a], b = v[at->b], c = v[at->c];
-    Wide& to = v[at->to];
-    switch (at->code) {
-      case kSum: to = a + b; break;
-      case kDifference: to = a - b; break;
-      case kProduct: to = a * b; break;
-      case kReciprocal: to = {1.0 / a.low, 1.0 / a.high}; break;
-      case kNegative: to = {-a.low, -a.high}; break;
-      case kChoice: to = {where(a.low != 0.0, b.low, c.low), where(a.high != 0.0, b.high, c.high)}; break;
-      case kMultiplyAdd: to = a * b + c; break;
-      case kMultiplySubtract: to = c - a * b; break;
-      case kSqrt: to = {root(a.low), root(a.high)}; break;
-      case kSin: to = each(a, [](double x) { return std::sin(x); }); break;
-      case kCos: to = each(a, [](double x) { return std::cos(x); }); break;
-      case kExp: to = each(a, [](double x) { return std::exp(x); }); break;
-      case kLog: to = each(a, [](double x) { return std::log(x); }); break;
-      case kTanh: to = each(a, [](double x) { return std::tanh(x); }); break;
+  typedef const Wide& In;
+  auto all_with = [&](auto function) { at = run(at, end, v, function); };
+  auto of_one = [&](auto function) { all_with([=](In a, In, In) { return each(a, function); }); };
+  auto of_two = [&](auto function) { all_with([=](In a, In b, In) { return both(a, b, function); }); };
+  while (at != end) switch (at->code) {
+      case kSum: all_with([](In a, In b, In) { return a + b; }); break;
+      case kDifference: all_with([](In a, In b, In) { return a - b; }); break;
+      case kProduct: all_with([](In a, In b, In) { return a * b; }); break;
+      case kReciprocal: all_with([](In a, In, In) { return Wide{1.0 / a.low, 1.0 / a.high}; }); break;
+      case kNegative: all_with([](In a, In, In) { return Wide{-a.low, -a.high}; }); break;
+      case kChoice: all_with([](In a, In b, In c) {
+        return Wide{where(a.low != 0.0, b.low, c.low), where(a.high != 0.0, b.high, c.high)};
+      }); break;
+      case kMultiplyAdd: all_with([](In a, In b, In c) { return a * b + c; }); break;
+      case kMultiplySubtract: all_with([](In a, In b, In c) { return c - a * b; }); break;
+      case kSqrt: all_with([](In a, In, In) { return Wide{root(a.low), root(a.high)}; }); break;
+      case kSin: of_one([](double x) { return std::sin(x); }); break;
+      case kCos: of_one([](double x) { return std::cos(x); }); break;
+      case kExp: of_one([](double x) { return std::exp(x); }); break;
+      case kLog: of_one([](double x) { return std::log(x); }); break;
+      case kTanh: of_one([](double x) { return std::tanh(x); }); break;
       // no number stays none, whichever it is
-      case kMax: to = both(a, b, [](Pack x, Pack y) { return where(x != x, x, where(y <= x, x, y)); }); break;
-      case kMin: to = both(a, b, [](Pack x, Pack y) { return where(x != x, x, where(y >= x, x, y)); }); break;
-      case kAbs: to = {magnitude(a.low), magnitude(a.high)}; break;
-      case kLess: to = both(a, b, [](Pack x, Pack y) { return truth(x < y); }); break;
-      case kLessEqual: to = both(a, b, [](Pack x, Pack y) { return truth(x <= y); }); break;
-      case kGreater: to = both(a, b, [](Pack x, Pack y) { return truth(x > y); }); break;
-      case kGreaterEqual: to = both(a, b, [](Pack x, Pack y) { return truth(x >= y); }); break;
-      case kEqual: to = both(a, b, [](Pack x, Pack y) { return truth(x == y); }); break;
+      case kMax: of_two([](Pack x, Pack y) { return where(x != x, x, where(y <= x, x, y)); }); break;
+      case kMin: of_two([](Pack x, Pack y) { return where(x != x, x, where(y >= x, x, y)); }); break;
+      case kAbs: all_with([](In a, In, In) { return Wide{magnitude(a.low), magnitude(a.high)}; }); break;
+      case kLess: of_two([](Pack x, Pack y) { return truth(x < y); }); break;
+      case kLessEqual: of_two([](Pack x, Pack y) { return truth(x <= y); }); break;
+      case kGreater: of_two([](Pack x, Pack y) { return truth(x > y); }); break;
+      case kGreaterEqual: of_two([](Pack x, Pack y) { return truth(x >= y); }); break;
+      case kEqual: of_two([](Pack x, Pack y) { return truth(x == y); }); break;
     }
-  }
 }
 
 }  // namespace jaxscp
