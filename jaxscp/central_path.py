@@ -24,11 +24,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxscp.constraints import Cone, SecondOrder
-from jaxscp.convexify import terminal_cost
-from jaxscp.inequalities import cones, inequalities
+from jaxscp.inequalities import cones
 from jaxscp.intervals import Grid, evaluate
 from jaxscp.lagrangian import FlightMultipliers
-from jaxscp.problem import OptimalControlProblem, end_condition, start_condition
+from jaxscp.lagrangian import lagrangian as multiplied
+from jaxscp.problem import OptimalControlProblem
 from jaxscp.types import Scalar
 
 MU = 1e-6  # of the answer: a limit of unit price is kept a micrometre, or micronewton, away from
@@ -44,15 +44,9 @@ class Point(eqx.Module):
 
 def lagrangian(problem: OptimalControlProblem, point: Point, grid: Grid, mu: Scalar | float = MU) -> Scalar:
     """Cost, equalities and inequalities times their multipliers, and barrier of the latter."""
-    z, y, n = point.z, point.y, problem.state_size
-    outputs = evaluate(problem, z, grid)
-    total = jnp.sum(outputs.cost) + terminal_cost(problem, z)
-    total += jnp.vdot(y.flow, outputs.end - z[1:, :n])
-    total += jnp.vdot(y.initial, start_condition(problem, z[0, :n])[1])
-    total += jnp.vdot(y.final, end_condition(problem, z[-1, :n])[1])
-    values = inequalities(problem, z, outputs, ROOM)
-    for cone, price, value in zip(cones(problem), y.values, values, strict=True):
-        total += mu * jnp.sum(log_det(cone, price)) - jnp.vdot(price, value)
+    total = multiplied(problem, point.z, evaluate(problem, point.z, grid), point.y, ROOM)
+    for cone, price in zip(cones(problem), point.y.values, strict=True):
+        total += mu * jnp.sum(log_det(cone, price))
     return total
 
 

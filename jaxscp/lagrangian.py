@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxscp.constraints import Cone, NonNegative, SecondOrder
+from jaxscp.convexify import terminal_cost
 from jaxscp.inequalities import inequalities
 from jaxscp.intervals import Grid, Outputs, active_points, evaluate
 from jaxscp.problem import OptimalControlProblem, end_condition, start_condition
@@ -51,6 +52,22 @@ def no_multipliers(
         return FlightMultipliers(outputs.end, initial, final, inequalities(problem, z, outputs))
 
     return jax.tree.map(lambda v: jnp.zeros(v.shape, v.dtype), jax.eval_shape(like, z))
+
+
+def lagrangian(
+    problem: OptimalControlProblem,
+    z: Float[Array, "nodes variables"],
+    outputs: Outputs,
+    y: FlightMultipliers,
+    room: float = 0.0,
+) -> Scalar:
+    """L at a point, of which ``outputs`` are the intervals'; ``room`` is added to every inequality."""
+    n = problem.state_size
+    total = jnp.sum(outputs.cost) + terminal_cost(problem, z)
+    total += jnp.vdot(y.flow, outputs.end - z[1:, :n])
+    total += jnp.vdot(y.initial, start_condition(problem, z[0, :n])[1])
+    total += jnp.vdot(y.final, end_condition(problem, z[-1, :n])[1])
+    return total - sum(map(jnp.vdot, y.values, inequalities(problem, z, outputs, room)), jnp.zeros(()))
 
 
 class Residual(eqx.Module):

@@ -47,10 +47,10 @@ from jaxscp.lifted import (
 )
 from jaxscp.lifted import check as check_liftable
 from jaxscp.problem import OptimalControlProblem, end_condition, node_times, typical_sizes
-from jaxscp.relinearise import relinearise
+from jaxscp.reflown import reflown_gradient
 from jaxscp.scp import Answer, History
 from jaxscp.sensitivity import follow
-from jaxscp.stationarity import stationarity
+from jaxscp.stationarity import lagrangian_gradient, stationarity
 from jaxscp.status import Status, StatusCode, usable
 from jaxscp.types import Count, Flag, Scalar
 
@@ -154,9 +154,9 @@ class NewtonSCP(eqx.Module):
         return Answer(point.z, cost, point.y, state.reached, state.newton_steps)
 
     def optimality(self, problem: OptimalControlProblem, state: NewtonState) -> Scalar:
-        """How far the end is from a point of Karush, Kuhn and Tucker, by the judge's own linearisation."""
-        linear = relinearise(problem, state.z, self.grid)
-        return stationarity(problem, state.z, linear, state.multipliers, state.cost)
+        """How far the end is from a point of Karush, Kuhn and Tucker, by the judge's own flight."""
+        gradient = reflown_gradient(problem, state.z, state.multipliers, self.grid)
+        return stationarity(gradient, state.z, state.cost)
 
     def init(self, problem: OptimalControlProblem, z: Float[Array, "nodes variables"]) -> NewtonState:
         """State before the first subproblem, from an initial guess."""
@@ -247,7 +247,8 @@ class NewtonSCP(eqx.Module):
         flown, safe = lacks <= 1.0
         closed = flown & safe
         small = jnp.abs(gain) / (self.tolerance * jnp.maximum(1.0, jnp.abs(now.cost)))
-        flat = stationarity(problem, candidate, linear, multipliers, now.cost) / self.tolerance_gradient
+        gradient = lagrangian_gradient(problem, candidate, linear, multipliers)
+        flat = stationarity(gradient, candidate, now.cost) / self.tolerance_gradient
         worst = jnp.maximum(jnp.max(lacks), jnp.maximum(small, flat))  # in tolerances
         settling = accept & (state.proximal <= EXACT_PROXIMAL)
         optimal, near = settling & (worst <= 1.0), settling & (worst <= slack)

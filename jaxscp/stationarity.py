@@ -17,23 +17,16 @@ from jaxscp.types import Scalar
 
 
 def stationarity(
-    problem: OptimalControlProblem,
-    z: Float[Array, "nodes variables"],
-    linear: Linearisation,
-    multipliers: FlightMultipliers,
-    cost: Scalar,
+    gradient: Float[Array, "nodes variables"], z: Float[Array, "nodes variables"], cost: Scalar
 ) -> Scalar:
     """Largest component of the Lagrangian's gradient, each times the variable's typical size, relative to the cost:
     to first order, the share of the cost that changing one variable by its own size would still gain.
 
     Args:
-        problem: what is asked.
+        gradient: of the Lagrangian at the point.
         z: node variables of the point.
-        linear: its intervals.
-        multipliers: of the point.
         cost: of the point.
     """
-    gradient = lagrangian_gradient(problem, z, linear, multipliers)
     return jnp.max(jnp.abs(gradient * typical_sizes(z))) / jnp.maximum(1.0, jnp.abs(cost))
 
 

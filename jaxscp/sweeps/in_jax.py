@@ -9,8 +9,6 @@ Phi being what follows from the path at the points. Nothing is approximate here.
 integration gives the same, but goes through the chain anew for every direction.
 """
 
-from collections.abc import Callable
-
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -39,15 +37,13 @@ def fly(intervals: Intervals, w: Float[Array, "inputs"], push: Array | None = No
 
 
 def linear(
-    intervals: Intervals,
-    w: Float[Array, "intervals inputs"],
-    given: Given,
-    fly: Callable[[Intervals, Array], Path] = fly,
+    intervals: Intervals, w: Float[Array, "intervals inputs"], given: Given
 ) -> tuple[Outcome, Outcome]:
     """Outcomes and their Jacobians, by forward mode through the integration."""
 
     def one(w, given):
-        push = lambda v: jax.jvp(lambda w: outcome(intervals, w, fly(intervals, w), given), (w,), (v,))  # noqa: E731
+        value = lambda w: outcome(intervals, w, fly(intervals, w), given)  # noqa: E731
+        push = lambda v: jax.jvp(value, (w,), (v,))  # noqa: E731
         return jax.vmap(push, out_axes=(None, -1))(jnp.eye(w.shape[0], dtype=w.dtype))
 
     return jax.vmap(one)(w, given)

@@ -8,13 +8,40 @@
 
 namespace jaxscp {
 
-// Sum of S' H S, by entries of H. What concerns a control is a row of its own, twice that of the two inputs whose share
-// it is; what concerns states alone is summed in the upper triangle.
+// act(column, how many from there on), of a row from ``first``: four at once, as many as registers hold sums of.
+template <typename Act>
+inline void for_columns(int first, int size, Act act) {
+  int c = first;
+  for (; c + 4 <= size; c += 4) act(c, std::integral_constant<int, 4>());
+  for (; c < size; ++c) act(c, std::integral_constant<int, 1>());
+}
+
+// A number times a row.
+struct Term {
+  const Wide *factor, *row;
+};
+
+// to (+)= sum of the terms, from column ``first`` on.
+template <bool kAdd>
+inline void combine(const Term* terms, int count, int first, int size, Wide* to) {
+  for_columns(first, size, [&](int c, auto some) {
+    Wide sum[some];
+    for (int q = 0; q < some; ++q) sum[q] = kAdd ? to[c + q] : wide(0.0);
+    for (int t = 0; t < count; ++t) {
+      const Wide factor = *terms[t].factor;
+      for (int q = 0; q < some; ++q) sum[q] += factor * terms[t].row[c + q];
+    }
+    for (int q = 0; q < some; ++q) to[c + q] = sum[q];
+  });
+}
+
+// Sum of S' H S, by entries of H. What concerns a control is a row of its own, of the two inputs whose share it is; what
+// concerns states alone is summed in the upper triangle.
 class Curvature {
  public:
   Curvature(const Sweep& s, Memory& memory)
       : s_(s), size_(s.inputs()), upper_(memory.take(size_ * size_)), of_controls_(memory.take(2 * s.controls * size_)),
-        turned_(memory.take(most_rows(s) * size_)), any_(s.arguments()) {}
+        turned_(memory.take(most_rows(s) * size_)), terms_(most_rows(s)) {}
 
   void begin() {
     std::fill_n(upper_, size_ * size_, wide(0.0));
@@ -24,45 +51,44 @@ class Curvature {
   // Of (state, controls) at a share of the interval, ``tangent`` being the states' rows.
   void add(const Several<Coordinates>& hessian, const Player& entries, const Wide* tangent, double share) {
     const int n = s_.states;
-    std::fill(any_.begin(), any_.end(), false);
-    auto row = [&](int r) {
-      Wide* to = turned_ + r * size_;
-      if (!any_[r]) std::fill_n(to, size_, wide(0.0)), any_[r] = true;
-      return to;
-    };
+    for (auto& terms : terms_) terms.clear();
+    auto note = [&](int r, int k, int i) { terms_[r].push_back({&entries.output(i), tangent + k * size_}); };
     for (int i = 0; i < hessian.count; ++i) {
       const auto [r, k] = hessian[i];  // r >= k, so that r is the control if there is one
-      const Wide& entry = entries.output(i);
-      if (r < n) {
-        axpy(row(r), entry, tangent + k * size_, s_.first[k]);
-        if (r != k) axpy(row(k), entry, tangent + r * size_, s_.first[r]);
-      } else if (k < n) {
-        axpy(row(r), entry, tangent + k * size_, s_.first[k]);
-      } else {
-        const Wide half = r == k ? 0.5 * entry : entry;
-        row(r)[k] += (1.0 - share) * half;
-        row(r)[k + s_.controls] += share * half;
-      }
+      if (k < n) note(r, k, i);
+      if (r < n && r != k) note(k, r, i);
     }
-    for (int r = 0; r < n; ++r)
-      if (any_[r]) outer(tangent + r * size_, turned_ + r * size_, s_.first[r]);
+    turn(n);
     for (int r = n; r < s_.arguments(); ++r) {
-      if (!any_[r]) continue;
-      axpy(of_controls_ + (r - n) * size_, wide(1.0 - share), turned_ + r * size_, 0);
-      axpy(of_controls_ + (r - n + s_.controls) * size_, wide(share), turned_ + r * size_, 0);
+      Wide* to = turned_ + r * size_;
+      combine<false>(terms_[r].data(), static_cast<int>(terms_[r].size()), 0, size_, to);
+    }
+    for (int i = 0; i < hessian.count; ++i) {
+      const auto [r, k] = hessian[i];
+      if (k < n) continue;
+      const Wide half = r == k ? 0.5 * entries.output(i) : entries.output(i);
+      turned_[r * size_ + k] += (1.0 - share) * half;
+      turned_[r * size_ + k + s_.controls] += share * half;
+    }
+    outer(n, [&](int r) { return tangent + r * size_; });
+    for (int r = n; r < s_.arguments(); ++r) {
+      const Wide* turned = turned_ + r * size_;
+      Wide *first = of_controls_ + (r - n) * size_, *last = first + s_.controls * size_;
+      for (int c = 0; c < size_; ++c) first[c] += (1.0 - share) * turned[c], last[c] += share * turned[c];
     }
   }
 
   // Of arguments that have a row each.
   template <typename Row>
   void add(const Several<Coordinates>& hessian, const Player& entries, int arguments, Row tangent) {
-    std::fill_n(turned_, arguments * size_, wide(0.0));
+    for (auto& terms : terms_) terms.clear();
     for (int i = 0; i < hessian.count; ++i) {
       const auto [r, k] = hessian[i];
-      axpy(turned_ + r * size_, entries.output(i), tangent(k), 0);
-      if (r != k) axpy(turned_ + k * size_, entries.output(i), tangent(r), 0);
+      terms_[r].push_back({&entries.output(i), tangent(k)});
+      if (r != k) terms_[k].push_back({&entries.output(i), tangent(r)});
     }
-    for (int r = 0; r < arguments; ++r) outer(tangent(r), turned_ + r * size_, 0);
+    turn(arguments);
+    outer(arguments, tangent);
   }
 
   // Of the inputs themselves.
@@ -80,10 +106,6 @@ class Curvature {
     return upper_;
   }
 
-  void axpy(Wide* to, const Wide& factor, const Wide* row, int first) const {
-    for (int c = first; c < size_; ++c) to[c] += factor * row[c];
-  }
-
  private:
   static int most_rows(const Sweep& s) {
     int rows = s.arguments();
@@ -93,15 +115,29 @@ class Curvature {
 
   const Wide& of_control(int i, int c) const { return of_controls_[(i - s_.states) * size_ + c]; }
 
-  void outer(const Wide* a, const Wide* b, int first) {
-    for (int i = first; i < size_; ++i)
-      for (int c = i; c < size_; ++c) upper_[i * size_ + c] += a[i] * b[c];
+  // H S, for the first rows of H: those that have terms.
+  void turn(int rows) {
+    for (int r = 0; r < rows; ++r)
+      if (!terms_[r].empty())
+        combine<false>(terms_[r].data(), static_cast<int>(terms_[r].size()), 0, size_, turned_ + r * size_);
+  }
+
+  // upper += S' (H S), of the first rows of H.
+  template <typename Row>
+  void outer(int rows, Row tangent) {
+    for (int i = 0; i < size_; ++i) {
+      of_row_.clear();
+      for (int r = 0; r < rows; ++r)
+        if (!terms_[r].empty()) of_row_.push_back({tangent(r) + i, turned_ + r * size_});
+      combine<true>(of_row_.data(), static_cast<int>(of_row_.size()), i, size_, upper_ + i * size_);
+    }
   }
 
   const Sweep& s_;
   int size_;
   Wide *upper_, *of_controls_, *turned_;
-  std::vector<char> any_;  // whether there is such a row of ``turned_``
+  std::vector<std::vector<Term>> terms_;  // by row of H
+  std::vector<Term> of_row_;
 };
 
 class Tangents {
@@ -142,9 +178,10 @@ class Tangents {
   bool curved() const { return s_.order == 2; }
 
   void begin() {
-    std::fill_n(path_, s_.extended() * size_, wide(0.0));
+    for (int r = 0; r < s_.extended(); ++r) std::fill_n(path_ + r * size_, size_, wide(0.0));
+    for (int r = 0; r < s_.states; ++r) std::fill_n(moved_ + r * size_, s_.first[r], wide(0.0));
     for (int r = 0; r < s_.states; ++r) path_[r * size_ + r] = wide(1.0);
-    std::fill_n(outcomes_, s_.outcomes() * size_, wide(0.0));
+    std::fill_n(outcomes_ + s_.of_ends() * size_, s_.ends.values * size_, wide(0.0));
     if (!curved()) return;
     curvature_.begin();
     const Wide* at = walk_.data();
@@ -161,9 +198,7 @@ class Tangents {
     const double share = s_.share(step, stage);
     advance(s_.table.data + stage * s_.stages(), stage, s_.states, moved_);
     Wide* pushed = pushed_ + stage * s_.extended() * size_;
-    for (int r = 0; r < s_.extended(); ++r)
-      std::fill(pushed + r * size_ + s_.first[r], pushed + (r + 1) * size_, wide(0.0));
-    push(s_.rate.jacobian, walk_.rate_entries(slope), moved_, share, pushed);
+    push(s_.rate.jacobian, walk_.rate_entries(slope), moved_, share, s_.extended(), [&](int r) { return s_.first[r]; }, pushed);
     if (!curved()) return;
     std::copy_n(walk_.rate_arguments(slope), s_.arguments(), rate_.inputs());
     std::copy_n(prices_.slopes(slope), s_.extended(), rate_.inputs() + s_.rate.prices());
@@ -179,18 +214,20 @@ class Tangents {
     for (int i = 0; i < count; ++i)
       if (weights[i] != 0.0) from[number] = pushed_ + i * s_.extended() * size_, scaled[number++] = weights[i] / s_.steps;
     for (int r = 0; r < rows; ++r)
-      for (int c = r * size_ + s_.first[r]; c < (r + 1) * size_; ++c) {
-        Wide sum = path_[c];
-        for (int i = 0; i < number; ++i) sum += scaled[i] * from[i][c];
-        to[c] = sum;
-      }
+      for_columns(s_.first[r], size_, [&](int column, auto some) {
+        const int c = r * size_ + column;
+        Wide sum[some];
+        for (int q = 0; q < some; ++q) sum[q] = path_[c + q];
+        for (int i = 0; i < number; ++i)
+          for (int q = 0; q < some; ++q) sum[q] += scaled[i] * from[i][c + q];
+        for (int q = 0; q < some; ++q) to[c + q] = sum[q];
+      });
   }
 
   void look(int point) {
     Wide* to = values_ + point * s_.point.values * size_;
     const double share = s_.share(point);
-    std::fill_n(to, s_.point.values * size_, wide(0.0));
-    push(s_.point.jacobian, walk_.point_entries(point), path_, share, to);
+    push(s_.point.jacobian, walk_.point_entries(point), path_, share, s_.point.values, [](int) { return 0; }, to);
     if (!curved()) return;
     std::copy_n(walk_.point_arguments(point), s_.arguments(), point_.inputs());
     std::copy_n(prices_.values(point), s_.point.values, point_.inputs() + s_.point.prices());
@@ -198,16 +235,21 @@ class Tangents {
     curvature_.add(s_.point.hessian, point_, path_, share);
   }
 
-  // to += Jacobian tangents, of arguments (state, controls): a control is a share of two inputs.
-  void push(const Several<Coordinates>& jacobian, const Wide* entry, const Wide* tangent, double share, Wide* to) const {
-    for (int i = 0; i < jacobian.count; ++i) {
-      const auto [r, k] = jacobian[i];
+  // to = Jacobian tangents, row by row from its first column; of arguments (state, controls), of which a control is a
+  // share of two inputs.
+  template <typename First>
+  void push(const Several<Coordinates>& jacobian, const Wide* entry, const Wide* tangent, double share, int rows,
+            First first, Wide* to) {
+    int i = 0;
+    for (int r = 0; r < rows; ++r) {
       Wide* row = to + r * size_;
-      if (k < s_.states) {
-        curvature_.axpy(row, entry[i], tangent + k * size_, s_.first[k]);
-      } else {
-        row[k] += (1.0 - share) * entry[i];
-        row[k + s_.controls] += share * entry[i];
+      terms_.clear();
+      for (; i < jacobian.count && jacobian[i].row == r && jacobian[i].column < s_.states; ++i)
+        terms_.push_back({entry + i, tangent + jacobian[i].column * size_});
+      combine<false>(terms_.data(), static_cast<int>(terms_.size()), first(r), size_, row);
+      for (; i < jacobian.count && jacobian[i].row == r; ++i) {
+        row[jacobian[i].column] += (1.0 - share) * entry[i];
+        row[jacobian[i].column + s_.controls] += share * entry[i];
       }
     }
   }
@@ -218,8 +260,12 @@ class Tangents {
       const Function& f = s_.blocks[b].less_margin;
       const Wide* entry = walk_.group_entries(group++);
       auto tangent = [&](int e) { return values_ + value(e) * size_; };
-      for (int i = 0; i < f.jacobian.count; ++i)
-        curvature_.axpy(outcomes_ + outcome(f.jacobian[i].row) * size_, entry[i], tangent(f.jacobian[i].column), 0);
+      for (int i = 0, e = 0; e < f.values; ++e) {
+        terms_.clear();
+        for (; i < f.jacobian.count && f.jacobian[i].row == e; ++i)
+          terms_.push_back({entry + i, tangent(f.jacobian[i].column)});
+        combine<false>(terms_.data(), static_cast<int>(terms_.size()), 0, size_, outcomes_ + outcome(e) * size_);
+      }
       if (!curved()) return;
       Wide* to = margins_[b].inputs();
       for (int e = 0; e < f.arguments; ++e) to[e] = walk_.value(value(e));
@@ -247,6 +293,7 @@ class Tangents {
   Player rate_, point_, ends_;
   std::vector<Player> margins_;
   Wide *path_, *moved_, *pushed_, *values_, *outcomes_;
+  std::vector<Term> terms_;
   Curvature curvature_;
 };
 
