@@ -1,4 +1,4 @@
-// Functions with entries of their derivatives, as tapes (``functions.py``), and the numbers of sixteen intervals in them.
+// Functions and entries of their derivatives as tapes (``functions.py``), with the numbers of sixteen intervals.
 #pragma once
 
 #include <vector>

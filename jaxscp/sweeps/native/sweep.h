@@ -48,7 +48,8 @@ struct Sweep {
       const int rows = blocks[b].rows, together = blocks[b].together;
       for (int row = 0; row < rows; row += together) {
         auto value = [&](int e) { return e / together * point.values + before + row + e % together; };
-        auto outcome = [&](int e) { return of_points() + points() * before + e / together * rows + row + e % together; };
+        const int begin = of_points() + points() * before + row;
+        auto outcome = [&](int e) { return begin + e / together * rows + e % together; };
         act(static_cast<int>(b), value, outcome);
       }
       before += rows;

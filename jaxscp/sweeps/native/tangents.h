@@ -16,9 +16,10 @@ inline void for_columns(int first, int size, Act act) {
   for (; c < size; ++c) act(c, std::integral_constant<int, 1>());
 }
 
-// A number times a row.
+// A number times a row, which is zero before its first column.
 struct Term {
   const Wide *factor, *row;
+  int first = 0;
 };
 
 // to (+)= sum of the terms, from column ``first`` on.
@@ -35,8 +36,8 @@ inline void combine(const Term* terms, int count, int first, int size, Wide* to)
   });
 }
 
-// Sum of S' H S, by entries of H. What concerns a control is a row of its own, of the two inputs whose share it is; what
-// concerns states alone is summed in the upper triangle.
+// Sum of S' H S, by entries of H. What concerns a control is in rows of the two inputs whose share it is; what concerns
+// states alone is summed in the upper triangle.
 class Curvature {
  public:
   Curvature(const Sweep& s, Memory& memory)
@@ -52,17 +53,14 @@ class Curvature {
   void add(const Several<Coordinates>& hessian, const Player& entries, const Wide* tangent, double share) {
     const int n = s_.states;
     for (auto& terms : terms_) terms.clear();
-    auto note = [&](int r, int k, int i) { terms_[r].push_back({&entries.output(i), tangent + k * size_}); };
+    auto row = [&](int r) { return Term{nullptr, tangent + r * size_, s_.first[r]}; };
+    auto note = [&](int r, int k, int i) { terms_[r].push_back({&entries.output(i), row(k).row, row(k).first}); };
     for (int i = 0; i < hessian.count; ++i) {
       const auto [r, k] = hessian[i];  // r >= k, so that r is the control if there is one
       if (k < n) note(r, k, i);
       if (r < n && r != k) note(k, r, i);
     }
-    turn(n);
-    for (int r = n; r < s_.arguments(); ++r) {
-      Wide* to = turned_ + r * size_;
-      combine<false>(terms_[r].data(), static_cast<int>(terms_[r].size()), 0, size_, to);
-    }
+    turn(s_.arguments());
     for (int i = 0; i < hessian.count; ++i) {
       const auto [r, k] = hessian[i];
       if (k < n) continue;
@@ -70,7 +68,7 @@ class Curvature {
       turned_[r * size_ + k] += (1.0 - share) * half;
       turned_[r * size_ + k + s_.controls] += share * half;
     }
-    outer(n, [&](int r) { return tangent + r * size_; });
+    outer(n, row);
     for (int r = n; r < s_.arguments(); ++r) {
       const Wide* turned = turned_ + r * size_;
       Wide *first = of_controls_ + (r - n) * size_, *last = first + s_.controls * size_;
@@ -88,7 +86,7 @@ class Curvature {
       if (r != k) terms_[k].push_back({&entries.output(i), tangent(r)});
     }
     turn(arguments);
-    outer(arguments, tangent);
+    outer(arguments, [&](int r) { return Term{nullptr, tangent(r)}; });
   }
 
   // Of the inputs themselves.
@@ -115,21 +113,25 @@ class Curvature {
 
   const Wide& of_control(int i, int c) const { return of_controls_[(i - s_.states) * size_ + c]; }
 
-  // H S, for the first rows of H: those that have terms.
+  // H S, for the first rows of H.
   void turn(int rows) {
-    for (int r = 0; r < rows; ++r)
-      if (!terms_[r].empty())
-        combine<false>(terms_[r].data(), static_cast<int>(terms_[r].size()), 0, size_, turned_ + r * size_);
+    for (int r = 0; r < rows; ++r) {
+      int first = size_;
+      for (const Term& term : terms_[r]) first = std::min(first, term.first);
+      std::fill_n(turned_ + r * size_, first, wide(0.0));
+      combine<false>(terms_[r].data(), static_cast<int>(terms_[r].size()), first, size_, turned_ + r * size_);
+    }
   }
 
-  // upper += S' (H S), of the first rows of H.
+  // upper += S' (H S), of the first rows of H; row(r) of S.
   template <typename Row>
-  void outer(int rows, Row tangent) {
+  void outer(int rows, Row row) {
     for (int i = 0; i < size_; ++i) {
       of_row_.clear();
       for (int r = 0; r < rows; ++r)
-        if (!terms_[r].empty()) of_row_.push_back({tangent(r) + i, turned_ + r * size_});
-      combine<true>(of_row_.data(), static_cast<int>(of_row_.size()), i, size_, upper_ + i * size_);
+        if (!terms_[r].empty() && i >= row(r).first) of_row_.push_back({row(r).row + i, turned_ + r * size_});
+      if (!of_row_.empty())
+        combine<true>(of_row_.data(), static_cast<int>(of_row_.size()), i, size_, upper_ + i * size_);
     }
   }
 
@@ -146,7 +148,8 @@ class Tangents {
       : s_(s), walk_(walk), prices_(prices), size_(s.inputs()), rate_(s.rate.second, s.rate.inputs(), memory),
         point_(s.point.second, s.point.inputs(), memory), ends_(s.ends.second, s.ends.inputs(), memory),
         path_(memory.take(s.extended() * size_)), moved_(memory.take(s.states * size_)),
-        pushed_(memory.take(s.stages() * s.extended() * size_)), values_(memory.take(s.points() * s.point.values * size_)),
+        pushed_(memory.take(s.stages() * s.extended() * size_)),
+        values_(memory.take(s.points() * s.point.values * size_)),
         outcomes_(memory.take(s.outcomes() * size_)), curvature_(s, memory) {
     for (const Block& block : s.blocks)
       margins_.emplace_back(block.less_margin.second, block.less_margin.inputs(), memory);
@@ -198,7 +201,8 @@ class Tangents {
     const double share = s_.share(step, stage);
     advance(s_.table.data + stage * s_.stages(), stage, s_.states, moved_);
     Wide* pushed = pushed_ + stage * s_.extended() * size_;
-    push(s_.rate.jacobian, walk_.rate_entries(slope), moved_, share, s_.extended(), [&](int r) { return s_.first[r]; }, pushed);
+    auto first = [&](int r) { return s_.first[r]; };
+    push(s_.rate.jacobian, walk_.rate_entries(slope), moved_, share, s_.extended(), first, pushed);
     if (!curved()) return;
     std::copy_n(walk_.rate_arguments(slope), s_.arguments(), rate_.inputs());
     std::copy_n(prices_.slopes(slope), s_.extended(), rate_.inputs() + s_.rate.prices());
@@ -212,7 +216,10 @@ class Tangents {
     const Wide* from[kMaxStages];
     int number = 0;
     for (int i = 0; i < count; ++i)
-      if (weights[i] != 0.0) from[number] = pushed_ + i * s_.extended() * size_, scaled[number++] = weights[i] / s_.steps;
+      if (weights[i] != 0.0) {
+        from[number] = pushed_ + i * s_.extended() * size_;
+        scaled[number++] = weights[i] / s_.steps;
+      }
     for (int r = 0; r < rows; ++r)
       for_columns(s_.first[r], size_, [&](int column, auto some) {
         const int c = r * size_ + column;

@@ -17,8 +17,11 @@ class Walk {
         point_entries_(memory.take(s.points() * s.point.jacobian.count)),
         ends_entries_(memory.take(s.ends.jacobian.count)), values_(memory.take(s.points() * s.point.values)),
         outcomes_(memory.take(s.outcomes())) {
-    for (const Block& block : s.blocks) margins_.emplace_back(block.less_margin.first, block.less_margin.inputs(), memory);
-    s.for_groups([&](int b, auto, auto) { group_entries_.push_back(memory.take(s.blocks[b].less_margin.jacobian.count)); });
+    for (const Block& block : s.blocks)
+      margins_.emplace_back(block.less_margin.first, block.less_margin.inputs(), memory);
+    s.for_groups([&](int b, auto, auto) {
+      group_entries_.push_back(memory.take(s.blocks[b].less_margin.jacobian.count));
+    });
   }
 
   // What goes in.
