@@ -192,6 +192,19 @@ def test_a_tape_played_by_jax_gives_the_same(rate):
     assert_same(jax.jit(in_jax.linear)(intervals, w, data), jax.jit(played.linear)(intervals, w))
 
 
+def test_on_other_devices_what_is_asked_of_the_ends_alone_is_not_forgotten(monkeypatch):
+    rate, states, controls = RATES["no parameters"]
+    intervals, w, data = case(rate, states, controls, runge_kutta.CLASSICAL, order=1, watch=False)
+    asked = eqx.tree_at(lambda i: i.watch, intervals, Watch(of_ends=Watched(states).of_ends))
+    data = Given((), jnp.ones((COUNT, 2)), data.keep)
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    monkeypatch.setattr(native, "available", lambda: False)
+    expected = jax.eval_shape(in_jax.linear, asked, w, data)
+    found = jax.eval_shape(lambda *a: sweeps.linear(*a), asked, w, data)
+    assert expected[0].ends.shape == (COUNT, 3)
+    assert jax.tree.map(lambda v: v.shape, expected) == jax.tree.map(lambda v: v.shape, found)
+
+
 @needs_compiled
 @pytest.mark.parametrize("level", libraries.LEVELS)
 def test_every_level_that_runs_here_gives_the_same(level, monkeypatch):

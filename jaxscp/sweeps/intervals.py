@@ -44,6 +44,11 @@ class Watch(eqx.Module):
     of_ends: Callable[..., Array] = _Nothing()
     blocks: tuple[Block, ...] = ()
 
+    @property
+    def nothing(self) -> bool:
+        """Whether nothing is asked."""
+        return not self.blocks and isinstance(self.of_ends, _Nothing)
+
 
 class Intervals(eqx.Module):
     """What a pass goes through, and how.

@@ -4,6 +4,10 @@ Where all is arithmetic its operations are found first: C++ plays them on a CPU,
 JAX plays those of the slopes, where nothing else is asked. Derivatives of a pass are those of the pass in JAX.
 """
 
+import contextlib
+from collections.abc import Callable
+from typing import Any
+
 import equinox as eqx
 import jax
 from jaxtyping import Array, Float
@@ -46,11 +50,10 @@ def _(primals, tangents):
 @eqx.filter_custom_jvp
 def _linear(intervals: Intervals, w: Array, given: Given) -> tuple[Outcome, Outcome]:
     def elsewhere(w, given):
-        by_tape = jax.default_backend() != "cpu" and not intervals.watch.blocks
-        try:
-            return played.linear(intervals, w) if by_tape else in_jax.linear(intervals, w, given)
-        except tracing.CannotTrace:
-            return in_jax.linear(intervals, w, given)
+        if jax.default_backend() != "cpu" and intervals.watch.nothing:
+            with contextlib.suppress(tracing.CannotTrace):
+                return played.linear(intervals, w)
+        return in_jax.linear(intervals, w, given)
 
     return _choose(_in_cpp(intervals, w, given, order=1), elsewhere, w, given)
 
@@ -71,7 +74,7 @@ def _(primals, tangents):
     return eqx.filter_jvp(in_jax.curved, primals, tangents)
 
 
-def _in_cpp(intervals: Intervals, w: Array, given: Given, order: int):
+def _in_cpp(intervals: Intervals, w: Array, given: Given, order: int) -> Callable[..., Any] | None:
     """The pass in C++ as a function of (w, given, prices); None where it cannot be."""
     if not compiled.serves(w):
         return None
@@ -82,8 +85,8 @@ def _in_cpp(intervals: Intervals, w: Array, given: Given, order: int):
     return lambda w, given, prices=None: compiled.sweep(intervals, found, w, given, prices, order)
 
 
-def _choose(cpu, elsewhere, *args):
-    """The function of a device; that of another is not traced where there is none."""
+def _choose(cpu: Callable[..., Any] | None, elsewhere: Callable[..., Any], *args: Any) -> Any:
+    """The function of the device; that of other devices is not traced where there are none."""
     if cpu is None:
         return elsewhere(*args)
     if jax.default_backend() == "cpu":
