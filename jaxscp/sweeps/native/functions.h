@@ -34,6 +34,7 @@ struct Function {
   Tape first, second;              // the values, then entries of their Jacobian; entries of the priced sum's Hessian
   Several<Coordinates> jacobian, hessian;  // where these are; of the latter the lower triangle
 
+  // Places.
   int prices() const { return arguments; }
   int given() const { return arguments + values; }
   int inputs() const { return arguments + values + data; }

@@ -53,7 +53,7 @@ void sweep_pack(const Sweep& s, const Arrays& at, int64_t pack, Memory& memory) 
   const Lanes lanes(at, pack);
   std::vector<Player*> tapes;
   auto note = [&](Player& tape) { tapes.push_back(&tape); };
-  walk.for_tapes(note), tangents.for_tapes(note);
+  walk.tapes().for_all(note), tangents.tapes().for_all(note);
   int width = 0;
   for (Player* tape : tapes) width += tape->parameter_count();
   lanes.read(at.w, s.inputs(), walk.w());

@@ -57,4 +57,37 @@ struct Sweep {
   }
 };
 
+// The tapes of one order, of all functions.
+class Tapes {
+ public:
+  Player rate, point, ends;
+  std::vector<Player> margins;
+
+  Tapes(const Sweep& s, Tape Function::*order, Memory& memory)
+      : rate(s.rate.*order, s.rate.inputs(), memory), point(s.point.*order, s.point.inputs(), memory),
+        ends(s.ends.*order, s.ends.inputs(), memory), s_(s) {
+    for (const Block& block : s.blocks)
+      margins.emplace_back(block.less_margin.*order, block.less_margin.inputs(), memory);
+  }
+
+  template <typename Act>
+  void for_all(Act act) {
+    act(rate), act(point), act(ends);
+    for (Player& margin : margins) act(margin);
+  }
+
+  // When parameters are there; data are those of the points, of the ends, and where margins are kept.
+  void begin(const Wide* data) {
+    std::copy_n(data, s_.point.data, point.inputs() + s_.point.given());
+    std::copy_n(data + s_.point.data, s_.ends.data, ends.inputs() + s_.ends.given());
+    const Wide* keep = data + s_.point.data + s_.ends.data;
+    for (size_t b = 0; b < margins.size(); ++b)
+      std::copy_n(keep, s_.points(), margins[b].inputs() + s_.blocks[b].less_margin.given());
+    for_all([](Player& tape) { tape.begin(); });
+  }
+
+ private:
+  const Sweep& s_;
+};
+
 }  // namespace jaxscp

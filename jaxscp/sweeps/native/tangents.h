@@ -145,21 +145,13 @@ class Curvature {
 class Tangents {
  public:
   Tangents(const Sweep& s, const Walk& walk, const Prices& prices, Memory& memory)
-      : s_(s), walk_(walk), prices_(prices), size_(s.inputs()), rate_(s.rate.second, s.rate.inputs(), memory),
-        point_(s.point.second, s.point.inputs(), memory), ends_(s.ends.second, s.ends.inputs(), memory),
+      : s_(s), walk_(walk), prices_(prices), size_(s.inputs()), tapes_(s, &Function::second, memory),
         path_(memory.take(s.extended() * size_)), moved_(memory.take(s.states * size_)),
         pushed_(memory.take(s.stages() * s.extended() * size_)),
         values_(memory.take(s.points() * s.point.values * size_)),
-        outcomes_(memory.take(s.outcomes() * size_)), curvature_(s, memory) {
-    for (const Block& block : s.blocks)
-      margins_.emplace_back(block.less_margin.second, block.less_margin.inputs(), memory);
-  }
+        outcomes_(memory.take(s.outcomes() * size_)), curvature_(s, memory) {}
 
-  template <typename Act>
-  void for_tapes(Act act) {
-    act(rate_), act(point_), act(ends_);
-    for (auto& margin : margins_) act(margin);
-  }
+  Tapes& tapes() { return tapes_; }
 
   void run() {
     begin();
@@ -187,13 +179,7 @@ class Tangents {
     std::fill_n(outcomes_ + s_.of_ends() * size_, s_.ends.values * size_, wide(0.0));
     if (!curved()) return;
     curvature_.begin();
-    const Wide* at = walk_.data();
-    std::copy_n(at, s_.point.data, point_.inputs() + s_.point.given());
-    std::copy_n(at += s_.point.data, s_.ends.data, ends_.inputs() + s_.ends.given());
-    at += s_.ends.data;
-    for (size_t b = 0; b < margins_.size(); ++b)
-      std::copy_n(at, s_.points(), margins_[b].inputs() + s_.blocks[b].less_margin.given());
-    for_tapes([](Player& tape) { tape.begin(); });
+    tapes_.begin(walk_.data());
   }
 
   void slope(int step, int stage) {
@@ -204,10 +190,10 @@ class Tangents {
     auto first = [&](int r) { return s_.first[r]; };
     push(s_.rate.jacobian, walk_.rate_entries(slope), moved_, share, s_.extended(), first, pushed);
     if (!curved()) return;
-    std::copy_n(walk_.rate_arguments(slope), s_.arguments(), rate_.inputs());
-    std::copy_n(prices_.slopes(slope), s_.extended(), rate_.inputs() + s_.rate.prices());
-    rate_.play();
-    curvature_.add(s_.rate.hessian, rate_, moved_, share);
+    std::copy_n(walk_.rate_arguments(slope), s_.arguments(), tapes_.rate.inputs());
+    std::copy_n(prices_.slopes(slope), s_.extended(), tapes_.rate.inputs() + s_.rate.prices());
+    tapes_.rate.play();
+    curvature_.add(s_.rate.hessian, tapes_.rate, moved_, share);
   }
 
   // to = path + so many slopes of these weights, for the first ``rows``.
@@ -236,10 +222,10 @@ class Tangents {
     const double share = s_.share(point);
     push(s_.point.jacobian, walk_.point_entries(point), path_, share, s_.point.values, [](int) { return 0; }, to);
     if (!curved()) return;
-    std::copy_n(walk_.point_arguments(point), s_.arguments(), point_.inputs());
-    std::copy_n(prices_.values(point), s_.point.values, point_.inputs() + s_.point.prices());
-    point_.play();
-    curvature_.add(s_.point.hessian, point_, path_, share);
+    std::copy_n(walk_.point_arguments(point), s_.arguments(), tapes_.point.inputs());
+    std::copy_n(prices_.values(point), s_.point.values, tapes_.point.inputs() + s_.point.prices());
+    tapes_.point.play();
+    curvature_.add(s_.point.hessian, tapes_.point, path_, share);
   }
 
   // to = Jacobian tangents, row by row from its first column; of arguments (state, controls), of which a control is a
@@ -274,11 +260,12 @@ class Tangents {
         combine<false>(terms_.data(), static_cast<int>(terms_.size()), 0, size_, outcomes_ + outcome(e) * size_);
       }
       if (!curved()) return;
-      Wide* to = margins_[b].inputs();
+      Player& margin = tapes_.margins[b];
+      Wide* to = margin.inputs();
       for (int e = 0; e < f.arguments; ++e) to[e] = walk_.value(value(e));
       for (int e = 0; e < f.values; ++e) to[f.prices() + e] = prices_.outcomes()[outcome(e)];
-      margins_[b].play();
-      curvature_.add(f.hessian, margins_[b], f.arguments, tangent);
+      margin.play();
+      curvature_.add(f.hessian, margin, f.arguments, tangent);
     });
   }
 
@@ -287,18 +274,17 @@ class Tangents {
     for (int i = 0; i < f.jacobian.count; ++i)
       outcomes_[(s_.of_ends() + f.jacobian[i].row) * size_ + f.jacobian[i].column] = walk_.ends_entries()[i];
     if (!curved()) return;
-    std::copy_n(walk_.w(), size_, ends_.inputs());
-    std::copy_n(prices_.outcomes() + s_.of_ends(), f.values, ends_.inputs() + f.prices());
-    ends_.play();
-    curvature_.add(f.hessian, ends_);
+    std::copy_n(walk_.w(), size_, tapes_.ends.inputs());
+    std::copy_n(prices_.outcomes() + s_.of_ends(), f.values, tapes_.ends.inputs() + f.prices());
+    tapes_.ends.play();
+    curvature_.add(f.hessian, tapes_.ends);
   }
 
   const Sweep& s_;
   const Walk& walk_;
   const Prices& prices_;
   int size_;
-  Player rate_, point_, ends_;
-  std::vector<Player> margins_;
+  Tapes tapes_;
   Wide *path_, *moved_, *pushed_, *values_, *outcomes_;
   std::vector<Term> terms_;
   Curvature curvature_;

@@ -8,8 +8,7 @@ namespace jaxscp {
 class Walk {
  public:
   Walk(const Sweep& s, Memory& memory)
-      : s_(s), rate_(s.rate.first, s.rate.inputs(), memory), point_(s.point.first, s.point.inputs(), memory),
-        ends_(s.ends.first, s.ends.inputs(), memory), w_(memory.take(s.inputs())), data_(memory.take(s.data())),
+      : s_(s), tapes_(s, &Function::first, memory), w_(memory.take(s.inputs())), data_(memory.take(s.data())),
         state_(memory.take(s.extended())), slopes_(memory.take(s.stages() * s.extended())),
         rate_arguments_(memory.take(s.steps * s.stages() * s.arguments())),
         rate_entries_(memory.take(s.steps * s.stages() * s.rate.jacobian.count)),
@@ -17,8 +16,6 @@ class Walk {
         point_entries_(memory.take(s.points() * s.point.jacobian.count)),
         ends_entries_(memory.take(s.ends.jacobian.count)), values_(memory.take(s.points() * s.point.values)),
         outcomes_(memory.take(s.outcomes())) {
-    for (const Block& block : s.blocks)
-      margins_.emplace_back(block.less_margin.first, block.less_margin.inputs(), memory);
     s.for_groups([&](int b, auto, auto) {
       group_entries_.push_back(memory.take(s.blocks[b].less_margin.jacobian.count));
     });
@@ -27,11 +24,7 @@ class Walk {
   // What goes in.
   Wide* w() { return w_; }
   Wide* data() { return data_; }
-  template <typename Act>
-  void for_tapes(Act act) {
-    act(rate_), act(point_), act(ends_);
-    for (auto& margin : margins_) act(margin);
-  }
+  Tapes& tapes() { return tapes_; }
 
   void run() {
     begin();
@@ -43,10 +36,10 @@ class Walk {
     }
     std::copy_n(state_, s_.extended(), outcomes_);
     keep_margins();
-    std::copy_n(w_, s_.inputs(), ends_.inputs());
-    ends_.play();
-    for (int r = 0; r < s_.ends.values; ++r) outcomes_[s_.of_ends() + r] = ends_.output(r);
-    record(ends_, s_.ends, ends_entries_);
+    std::copy_n(w_, s_.inputs(), tapes_.ends.inputs());
+    tapes_.ends.play();
+    for (int r = 0; r < s_.ends.values; ++r) outcomes_[s_.of_ends() + r] = tapes_.ends.output(r);
+    record(tapes_.ends, s_.ends, ends_entries_);
   }
 
   // What is found: outcomes; and by slope, point, group and for the ends, arguments and entries of Jacobians.
@@ -63,13 +56,7 @@ class Walk {
 
  private:
   void begin() {
-    const Wide* at = data_;
-    std::copy_n(at, s_.point.data, point_.inputs() + s_.point.given());
-    std::copy_n(at += s_.point.data, s_.ends.data, ends_.inputs() + s_.ends.given());
-    at += s_.ends.data;
-    for (size_t b = 0; b < margins_.size(); ++b)
-      std::copy_n(at, s_.points(), margins_[b].inputs() + s_.blocks[b].less_margin.given());
-    for_tapes([](Player& tape) { tape.begin(); });
+    tapes_.begin(data_);
     std::copy_n(w_, s_.states, state_);
     state_[s_.states] = wide(0.0);
   }
@@ -87,36 +74,37 @@ class Walk {
   }
 
   void slope(int step, int stage) {
-    Wide* to = rate_.inputs();
+    Wide* to = tapes_.rate.inputs();
     for (int r = 0; r < s_.states; ++r)
       to[r] = state_[r] + moved(s_.table.data + stage * s_.stages(), stage, r);
     controls(s_.share(step, stage), to);
-    rate_.play();
-    for (int r = 0; r < s_.extended(); ++r) slopes_[stage * s_.extended() + r] = rate_.output(r);
+    tapes_.rate.play();
+    for (int r = 0; r < s_.extended(); ++r) slopes_[stage * s_.extended() + r] = tapes_.rate.output(r);
     const int slope = step * s_.stages() + stage;
     if (s_.order > 0) std::copy_n(to, s_.arguments(), rate_arguments_ + slope * s_.arguments());
-    record(rate_, s_.rate, rate_entries_ + slope * s_.rate.jacobian.count);
+    record(tapes_.rate, s_.rate, rate_entries_ + slope * s_.rate.jacobian.count);
   }
 
   // What is watched, at a point.
   void look(int point) {
-    Wide* to = point_.inputs();
+    Wide* to = tapes_.point.inputs();
     std::copy_n(state_, s_.states, to);
     controls(s_.share(point), to);
-    point_.play();
-    for (int r = 0; r < s_.point.values; ++r) values_[point * s_.point.values + r] = point_.output(r);
+    tapes_.point.play();
+    for (int r = 0; r < s_.point.values; ++r) values_[point * s_.point.values + r] = tapes_.point.output(r);
     if (s_.order > 0) std::copy_n(to, s_.arguments(), point_arguments_ + point * s_.arguments());
-    record(point_, s_.point, point_entries_ + point * s_.point.jacobian.count);
+    record(tapes_.point, s_.point, point_entries_ + point * s_.point.jacobian.count);
   }
 
   void keep_margins() {
     int group = 0;
     s_.for_groups([&](int b, auto value, auto outcome) {
       const Function& f = s_.blocks[b].less_margin;
-      for (int e = 0; e < f.arguments; ++e) margins_[b].inputs()[e] = values_[value(e)];
-      margins_[b].play();
-      for (int e = 0; e < f.values; ++e) outcomes_[outcome(e)] = margins_[b].output(e);
-      record(margins_[b], f, group_entries_[group++]);
+      Player& margin = tapes_.margins[b];
+      for (int e = 0; e < f.arguments; ++e) margin.inputs()[e] = values_[value(e)];
+      margin.play();
+      for (int e = 0; e < f.values; ++e) outcomes_[outcome(e)] = margin.output(e);
+      record(margin, f, group_entries_[group++]);
     });
   }
 
@@ -125,8 +113,7 @@ class Walk {
   }
 
   const Sweep& s_;
-  Player rate_, point_, ends_;
-  std::vector<Player> margins_;
+  Tapes tapes_;
   Wide *w_, *data_, *state_, *slopes_, *rate_arguments_, *rate_entries_, *point_arguments_, *point_entries_,
       *ends_entries_, *values_, *outcomes_;
   std::vector<Wide*> group_entries_;
