@@ -121,7 +121,8 @@ def prices(problem: OptimalControlProblem, of: Outputs) -> Outcome:
     """The adjoint of ``outputs``: prices of what a pass finds, from those of every interval's outputs."""
     points, ends = _sorted(problem, of.values)
     flat = [v[:, 0] for v in ends]
-    return Outcome(of.end, of.cost, points, jnp.concatenate([jnp.zeros((of.end.shape[0], 0)), *flat], axis=1))
+    none = jnp.zeros((of.end.shape[0], 0), of.end.dtype)
+    return Outcome(of.end, of.cost, points, jnp.concatenate([none, *flat], axis=1))
 
 
 class _Asked(eqx.Module):
@@ -133,7 +134,7 @@ class _Asked(eqx.Module):
         """Of those that hold throughout."""
         held = filter(_throughout, self.problem.constraints)
         values = [value_at(self.problem, c, state, control, p) for c, p in zip(held, parameters, strict=True)]
-        return jnp.concatenate([jnp.zeros(0), *values])
+        return jnp.concatenate([jnp.zeros(0, state.dtype), *values])
 
     def of_ends(self, w, parameters) -> Float[Array, "rows"]:
         """Of the others: at the first node, or on the controls at both ends."""
@@ -145,7 +146,7 @@ class _Asked(eqx.Module):
             else value_at(self.problem, c, state, first, p)
             for c, p in zip(_others(self.problem), parameters, strict=True)
         ]
-        return jnp.concatenate([jnp.zeros(0), *values])
+        return jnp.concatenate([jnp.zeros(0, w.dtype), *values])
 
 
 def _throughout(constraint: Constraint) -> bool:
