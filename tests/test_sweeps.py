@@ -268,7 +268,7 @@ class Solves(eqx.Module):
 
 
 @needs_compiled
-@pytest.mark.parametrize("name", PASSES)
+@pytest.mark.parametrize("name", ["outcomes", "linear"])
 def test_what_is_no_arithmetic_is_left_to_jax(name):
     order = PASSES[name]
     ours, theirs = getattr(sweeps, name), getattr(in_jax, name)
