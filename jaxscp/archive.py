@@ -19,13 +19,18 @@ from jax.experimental import serialize_executable
 
 from jaxscp.ahead import Plan, Program
 from jaxscp.caching import without_cache
-from jaxscp.conic import native
+from jaxscp.conic import native as conic
+from jaxscp.riccati import native as riccati
 from jaxscp.structure import describe
 from jaxscp.sweeps import native as sweeps
 
 FORMAT = 4
 PROGRAMS = ("setup", "solve")
-COMPILED = {target: native.runs_here for target in native.TARGETS} | {sweeps.TARGET: sweeps.available}
+COMPILED = {
+    **dict.fromkeys(conic.TARGETS, conic.runs_here),
+    **dict.fromkeys(riccati.TARGETS, riccati.available),
+    sweeps.TARGET: sweeps.available,
+}
 """What programs may call that was compiled at installation; whether it is here, which makes it known to XLA."""
 
 
@@ -103,7 +108,7 @@ def machine() -> dict[str, str]:
         "runtime": device.client.platform_version,
         "host": platform.machine(),
         "instructions": hashlib.sha256(_instructions().encode()).hexdigest(),
-        "compiled": f"{native.level()} {sweeps.level()}",
+        "compiled": f"{conic.level()} {riccati.level()} {sweeps.level()}",
     }
 
 

@@ -317,16 +317,17 @@ def along(
 def _definite(chain: riccati.Chain, last: Scalar) -> tuple[riccati.Factor, Scalar]:
     """Factor the matrix; where the second-order condition fails, with the least shift of a rising few that mends it."""
 
-    def more(carry):
-        _, shift = carry
-        shift: Array = jnp.where(shift > 0, GROWTH * shift, jnp.maximum(LEAST_SHIFT, last / GROWTH))
-        return riccati.factor(chain.shifted(shift)), shift
+    def another(carry):
+        _, _, after = carry
+        least = jnp.maximum(LEAST_SHIFT, last / GROWTH)
+        return riccati.factor(chain.shifted(after)), after, jax.lax.select(after > 0, GROWTH * after, least)
 
     def fails(carry):
-        factor, shift = carry
+        factor, shift, _ = carry
         return ~factor.definite & (shift < MOST_SHIFT)
 
-    factor, used = jax.lax.while_loop(fails, more, (riccati.factor(chain), jnp.zeros_like(last)))
+    none = jnp.zeros_like(last)
+    factor, used, _ = jax.lax.while_loop(fails, another, (riccati.no_factor(chain), none, none))
     kept: Array = jnp.where(used > 0, used, last)
     return factor, kept
 

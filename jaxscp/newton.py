@@ -17,12 +17,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxscp import lanes
-from jaxscp.active_set import ActiveSet, active_set, near_limits, nearest_dilation_limit, slacks
+from jaxscp.active_set import active_set, near_limits, nearest_dilation_limit, slacks
 from jaxscp.central_path import Point
 from jaxscp.conic.interior_point import InteriorPoint
 from jaxscp.conic.program import ConicSolution, StagedProgram
 from jaxscp.convexify import terminal_cost
-from jaxscp.correction import HOLD, corrected
+from jaxscp.correction import HOLD, corrected, correction
 from jaxscp.curvature import Chain, Convex, condensed, projected
 from jaxscp.discretise import interval_inputs
 from jaxscp.expansion import expand
@@ -31,7 +31,6 @@ from jaxscp.intervals import Grid, Linearisation, evaluate, linearise
 from jaxscp.lagrangian import (
     FlightMultipliers,
     Residual,
-    merit,
     no_multipliers,
     residual,
     worst_violation,
@@ -40,12 +39,12 @@ from jaxscp.lifted import (
     buffered,
     cost_gradient,
     flight_multipliers,
-    lifted_links,
     lifted_program,
     node_step,
     stage_sizes,
 )
 from jaxscp.lifted import check as check_liftable
+from jaxscp.line_search import Merit, Step, search
 from jaxscp.problem import OptimalControlProblem, end_condition, node_times, typical_sizes
 from jaxscp.reflown import reflown_gradient
 from jaxscp.scp import Answer, History
@@ -54,12 +53,11 @@ from jaxscp.stationarity import lagrangian_gradient, stationarity
 from jaxscp.status import Status, StatusCode, usable
 from jaxscp.types import Count, Flag, Scalar
 
-STEP_LENGTHS = (
+SHORTENED = (
     1.0,
-    0.5,
-    0.2,
-)  # parts of a step that are tried, each corrected: far cheaper than another subproblem
-SHORTENED = (1.0, 2.0, 4.0)  # factors, at least, by which the proximal weight then grows
+    2.0,
+    4.0,
+)  # factors, at least, by which the proximal weight grows where less of a step is taken
 FIRMNESS = (1e7, 1e7, 1e7, 1e4)  # prices of leaving a limit, at the end: so much leaves nothing to see
 SLACK = (100.0, 1.0)  # times the tolerances, at which the interior point is tried
 MEMORY = 5  # accepted points whose worst merit a new one must beat
@@ -192,52 +190,44 @@ class NewtonSCP(eqx.Module):
         scale = stage_sizes(problem, state.scale)
         now = jax.tree.map(lambda v: v[0], state.past)
         clipped = projected(_scaled(state.curvature, scale))
-        active = active_set(problem, state.linear, state.multipliers, scale)
-        hessian, gradient = _model(problem, state, now, clipped, active, scale)
+        hessian, gradient = _model(problem, state, now, clipped, scale)
         program = lifted_program(problem, state.z, state.linear, hessian, gradient, self.virtual_weight)
         solution = self.conic(program)
 
         multipliers = flight_multipliers(problem, state.linear, solution.multipliers)
         move = node_step(problem, solution.z)
-        links = lifted_links(problem, state.z, state.linear, self.virtual_weight)
         held = active_set(problem, state.linear, multipliers, scale)
-        room = slacks(problem, state.linear.outputs)
-
-        def attempt(length):
-            """The candidate after a part of the step, corrected, and its residual."""
-            z, rest = state.z + length * move, (1.0 - length) * room
-            args = (clipped.hessian, scale, self.grid, self.correction_rounds)
-            z = corrected(problem, z, links, held, *args, rest=rest)
-            return z, residual(evaluate(problem, z, self.grid), terminal_cost(problem, z), z)
-
         virtual = program.virtual_control(solution.z)[1:-1, : problem.state_size]
         slope = jnp.vdot(cost_gradient(problem, state.z, state.linear), solution.z[:, : scale.shape[0]])
         foretold = _foretold(problem, now, slope, state.curvature, solution.z, move, virtual)
 
-        def judge(r: Residual) -> Scalar:
-            sizes = state.scale[: problem.state_size]
-            return merit(problem, r, multipliers, self.merit_weight, sizes)
-
-        candidates, residuals = jax.vmap(attempt)(jnp.array(STEP_LENGTHS))
-        merits = jnp.nan_to_num(jax.vmap(judge)(residuals), nan=jnp.inf)
+        judge = Merit(problem, multipliers, self.merit_weight, state.scale[: problem.state_size])
         gain = judge(now) - judge(foretold)
         settled = jnp.abs(gain) <= ROUNDING * (1.0 + jnp.abs(now.cost))
-        worst = jnp.max(jax.vmap(judge)(state.past))
-        better = worst - merits >= 1e-4 * jnp.abs(gain)
-        chosen = jnp.argmax(better)  # the longest that is good enough; the whole step if none is
-        candidate, new = jax.tree.map(lambda v: v[chosen], (candidates, residuals))
+        step = Step(
+            z=state.z,
+            move=move,
+            room=slacks(problem, state.linear.outputs),
+            correction=correction(problem, state.z, state.linear, held, clipped.hessian, state.scale),
+            merit=judge,
+            enough=jnp.max(jax.vmap(judge)(state.past)) - 1e-4 * jnp.abs(gain),
+            grid=self.grid,
+            rounds=self.correction_rounds,
+        )
+        found = search(step, now)
+        candidate, new = found.trial.z, found.trial.residual
         linear, curvature = expand(problem, candidate, multipliers, self.grid)
 
-        ratio = jnp.where(settled, 1.0, (judge(now) - merits[0]) / jnp.maximum(jnp.abs(gain), 1e-12))
+        ratio = jnp.where(settled, 1.0, (judge(now) - found.whole.merit) / jnp.maximum(jnp.abs(gain), 1e-12))
         finite = jnp.all(
             jnp.stack(
                 [jnp.all(jnp.isfinite(v)) for v in jax.tree.leaves((new, linear, curvature, multipliers))]
             )
         )
         good = usable(solution.status) & finite
-        accept = good & (better[chosen] | settled)
+        accept = good & (found.good | settled)
 
-        proximal, exact = _adapted(state, ratio, accept, chosen)
+        proximal, exact = _adapted(state, ratio, accept, found.chosen)
         choose = lambda a, b: jax.tree.map(lambda p, q: jnp.where(accept, p, q), a, b)  # noqa: E731
         past = jax.tree.map(lambda p, v: jnp.concatenate([v[None], p[:-1]]), state.past, new)
         z, past = choose(candidate, state.z), choose(past, state.past)
@@ -338,16 +328,16 @@ class NewtonSCP(eqx.Module):
     def polish(self, problem: OptimalControlProblem, state: NewtonState) -> NewtonState:
         """Close what is left of the defects by Newton's method on them, without using up what is near a limit. Where
         too much is near a limit for that, the last rounds may use up some."""
-        scale = stage_sizes(problem, state.scale)
-        inputs = scale.shape[0]
+        sizes = stage_sizes(problem, state.scale)
+        inputs = sizes.shape[0]
         # Plain least change: the multipliers may be far from those of the point, if the loop was cut short.
         metric = jnp.broadcast_to(jnp.eye(inputs), (problem.nodes - 1, inputs, inputs))
 
         def once(carry, firmness):
             z, linear = carry
-            links = lifted_links(problem, z, linear, self.virtual_weight)
-            near = near_limits(problem, linear, z, scale)
-            z = corrected(problem, z, links, near, metric, scale, self.grid, self.correction_rounds, firmness)
+            near = near_limits(problem, linear, z, sizes)
+            by = correction(problem, z, linear, near, metric, state.scale, firmness)
+            z = corrected(problem, z, by, self.grid, self.correction_rounds)
             return (z, linearise(problem, z, self.grid)), None
 
         (z, linear), _ = jax.lax.scan(once, (state.z, state.linear), jnp.array(FIRMNESS))
@@ -364,14 +354,38 @@ def _model(
     state: NewtonState,
     now: Residual,
     clipped: Convex,
-    active: ActiveSet,
     scale: Float[Array, "inputs"],
 ):
     """Hessian and extra gradient of every stage, in the variables' own units."""
-    n, stage = problem.state_size, problem.variables
-    inputs = scale.shape[0]
+    stage, inputs = problem.variables, scale.shape[0]
     own = (jnp.arange(inputs) < stage).astype(scale.dtype)  # the proximal term counts each node once
     near = state.proximal * jnp.diag(own)
+    plain = Model(
+        hessian=jnp.pad(clipped.hessian, ((0, 1), (0, 0), (0, 0))) + near,
+        gradient=jnp.zeros((problem.nodes, inputs), scale.dtype),
+    )
+    model = lanes.where_needed(
+        state.exact, lambda fixed, _: _exact(*fixed), (problem, state, now, scale), plain
+    )
+    hessian = model.hessian.at[-1].add(jnp.diag(1.0 - own))  # the last stage's third part is idle
+    return hessian / scale / scale[:, None], model.gradient / scale
+
+
+class Model(eqx.Module):
+    """A convex quadratic for every stage, in scaled units."""
+
+    hessian: Float[Array, "nodes inputs inputs"]
+    gradient: Float[Array, "nodes inputs"]
+
+
+def _exact(
+    problem: OptimalControlProblem, state: NewtonState, now: Residual, scale: Float[Array, "inputs"]
+) -> Model:
+    """Condensed along the chain, with the constraints held that the last subproblem found active."""
+    n, stage = problem.state_size, problem.variables
+    inputs = scale.shape[0]
+    active = active_set(problem, state.linear, state.multipliers, scale)
+    near = state.proximal * jnp.diag((jnp.arange(inputs) < stage).astype(scale.dtype))
     at_limit = HOLD * active.dilation[:, None] * jnp.eye(inputs, dtype=scale.dtype)[stage - 1]
     beyond = (state.z[:, -1] - nearest_dilation_limit(problem, state.z[:, -1])) / scale[stage - 1]
 
@@ -383,18 +397,12 @@ def _model(
     )
     final = final.at[:n, :n].add(HOLD * ends.T @ ends)
     chain = Chain(state.linear.jacobian.end * scale / scale[:n, None], now.defect / scale[:n])
-    exact = condensed(held + 0.5 * near, chain, final)
-    pull = HOLD * active.pull(slacks(problem, state.linear.outputs)) + exact.gradient
-    pull = jnp.pad(pull, ((0, 1), (0, 0))) + at_limit * beyond[:, None]
-
-    last = jnp.zeros((1, inputs, inputs))
-    idle = jnp.diag(1.0 - own)[None]
-    hessian = jnp.where(
-        state.exact,
-        jnp.concatenate([exact.hessian + 0.5 * near, last + 0.5 * near + idle]),
-        jnp.concatenate([clipped.hessian + near, last + near + idle]),
+    convex = condensed(held + 0.5 * near, chain, final)
+    pull = HOLD * active.pull(slacks(problem, state.linear.outputs)) + convex.gradient
+    return Model(
+        hessian=jnp.pad(convex.hessian, ((0, 1), (0, 0), (0, 0))) + 0.5 * near,
+        gradient=jnp.pad(pull, ((0, 1), (0, 0))) + at_limit * beyond[:, None],
     )
-    return hessian / scale / scale[:, None], jnp.where(state.exact, pull, 0.0) / scale
 
 
 def _foretold(

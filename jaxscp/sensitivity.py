@@ -183,7 +183,7 @@ class System(eqx.Module):
         side, rows = right
         weighted = tuple(w.inverse_square(r) for w, r in zip(self.scalings, rows, strict=True))
         nodes = side.nodes - self.scale * pulled(problem, self.jacobians, weighted)
-        found = riccati.solve_once(self.reduced, eqx.tree_at(lambda s: s.nodes, side, nodes))
+        found = riccati.solve(self.reduced, eqx.tree_at(lambda s: s.nodes, side, nodes), refinements=0)
         slopes = along(problem, self.jacobians, self.scale * found.nodes)
         y = tuple(-w.inverse_square(r + v) for w, r, v in zip(self.scalings, rows, slopes, strict=True))
         return found, y

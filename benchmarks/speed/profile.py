@@ -23,15 +23,14 @@ from jaxscp.certificate import certify
 from jaxscp.conic import cones, kkt, native
 from jaxscp.conic.equilibrate import equilibrate
 from jaxscp.convexify import convexify, terminal_cost
-from jaxscp.correction import corrected
+from jaxscp.correction import corrected, correction
 from jaxscp.curvature import Chain, condensed, projected
 from jaxscp.discretise import discretise
 from jaxscp.expansion import expand
 from jaxscp.interior import local, newton_chain, scaled, scalings
 from jaxscp.intervals import evaluate
 from jaxscp.lagrangian import residual
-from jaxscp.lifted import lifted_links, lifted_program, stage_sizes
-from jaxscp.newton import STEP_LENGTHS
+from jaxscp.lifted import lifted_program, stage_sizes
 from jaxscp.planner import Solution, trajectory_of
 from jaxscp.problem import typical_sizes
 from jaxscp.scenarios import platform_to_platform
@@ -207,25 +206,20 @@ def _default_pieces(pieces: Pieces, method: NewtonSCP, problem: Any, z: Any, sol
 
 
 def _line_search(pieces: Pieces, method: NewtonSCP, problem, z, linear, y, metric, count: int) -> None:
-    scale, grid = stage_sizes(problem, typical_sizes(z)), method.grid
-    active = active_set(problem, linear, y, scale)
-    links = lifted_links(problem, z, linear, method.virtual_weight)
+    """Of whole steps: shorter ones are tried only where these fail."""
+    sizes, grid = typical_sizes(z), method.grid
+    active = active_set(problem, linear, y, stage_sizes(problem, sizes))
+    args = (problem, z, linear, active, metric, sizes)
+    by = pieces.time("correction: factor", count, correction, *args)
     room = slacks(problem, linear.outputs)
-    candidates = jnp.stack([z for _ in STEP_LENGTHS])
+    rounds = method.correction_rounds
 
-    def search(problem, candidates, links, active, metric, room):
-        def attempt(z):
-            z = corrected(problem, z, links, active, metric, scale, grid, method.correction_rounds, rest=room)
-            return z, residual(evaluate(problem, z, grid), terminal_cost(problem, z), z)
+    def correct(problem, z, by, room):
+        return corrected(problem, z, by, grid, rounds, room)
 
-        return jax.vmap(attempt)(candidates)
-
-    args = (problem, candidates, links, active, metric, room)
-    pieces.time(f"line search: {len(STEP_LENGTHS)} corrected steps", count, search, *args)
-    # each round of a correction, the test of whether it helped, and the merit
-    flights = (method.correction_rounds + 3) * count
-    fly = jax.vmap(lambda p, z: evaluate(p, z, grid), in_axes=(None, 0))
-    pieces.time("flights of the candidates", flights, fly, problem, candidates, inside=True)
+    pieces.time("correction: of a candidate", count, correct, problem, z, by, room)
+    flights = (rounds + 2) * count  # of each round, and the test of whether it helped
+    pieces.time("flights", flights, lambda p, z: evaluate(p, z, grid), problem, z, inside=True)
 
 
 def _interior_pieces(pieces: Pieces, method: NewtonSCP, problem: Any, solution: Solution) -> None:

@@ -3,6 +3,7 @@
 What they share is here too:
 
     pack.h         a number for eight places or intervals at once
+    memory.h       arrays that serve again
     runs_here.cc   whether this machine has the instructions of a library
     spread.h       work shared among the threads of XLA
 """
@@ -10,11 +11,28 @@ What they share is here too:
 import ctypes
 import functools
 import warnings
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import jax
 
 LEVELS = ("v4", "v3", "any")  # best first: two of x86-64, and what the machine that compiled had
+
+
+def choose(cpu: Callable[..., Any] | None, elsewhere: Callable[..., Any], *args: Any) -> Any:
+    """Call the function of the device; that of other devices is not even traced where there are none.
+
+    Args:
+        cpu: what was compiled for CPUs, if anything was.
+        elsewhere: the same as JAX.
+        args: of both.
+    """
+    if cpu is None:
+        return elsewhere(*args)
+    if jax.default_backend() == "cpu":
+        return cpu(*args)
+    return jax.lax.platform_dependent(*args, cpu=cpu, default=elsewhere)
 
 
 @functools.cache

@@ -12,6 +12,7 @@ import equinox as eqx
 import jax
 from jaxtyping import Array, Float
 
+from jaxscp.libraries import choose
 from jaxscp.sweeps import compiled, in_jax, played, tracing
 from jaxscp.sweeps.intervals import Given, Intervals, Outcome
 
@@ -38,7 +39,7 @@ def curved(
 @eqx.filter_custom_jvp
 def _outcomes(intervals: Intervals, w: Array, given: Given) -> Outcome:
     cpu = _in_cpp(intervals, w, given, order=0)
-    (found,) = _choose(cpu, lambda w, given: (in_jax.outcomes(intervals, w, given),), w, given)
+    (found,) = choose(cpu, lambda w, given: (in_jax.outcomes(intervals, w, given),), w, given)
     return found
 
 
@@ -55,7 +56,7 @@ def _linear(intervals: Intervals, w: Array, given: Given) -> tuple[Outcome, Outc
                 return played.linear(intervals, w)
         return in_jax.linear(intervals, w, given)
 
-    return _choose(_in_cpp(intervals, w, given, order=1), elsewhere, w, given)
+    return choose(_in_cpp(intervals, w, given, order=1), elsewhere, w, given)
 
 
 @_linear.def_jvp
@@ -66,7 +67,7 @@ def _(primals, tangents):
 @eqx.filter_custom_jvp
 def _curved(intervals: Intervals, w: Array, given: Given, prices: Outcome):
     cpu = _in_cpp(intervals, w, given, order=2)
-    return _choose(cpu, lambda *args: in_jax.curved(intervals, *args), w, given, prices)
+    return choose(cpu, lambda *args: in_jax.curved(intervals, *args), w, given, prices)
 
 
 @_curved.def_jvp
@@ -83,12 +84,3 @@ def _in_cpp(intervals: Intervals, w: Array, given: Given, order: int) -> Callabl
     except tracing.CannotTrace:
         return None
     return lambda w, given, prices=None: compiled.sweep(intervals, found, w, given, prices, order)
-
-
-def _choose(cpu: Callable[..., Any] | None, elsewhere: Callable[..., Any], *args: Any) -> Any:
-    """The function of the device; that of other devices is not traced where there are none."""
-    if cpu is None:
-        return elsewhere(*args)
-    if jax.default_backend() == "cpu":
-        return cpu(*args)
-    return jax.lax.platform_dependent(*args, cpu=cpu, default=elsewhere)

@@ -1,8 +1,7 @@
 // Functions and entries of their derivatives as tapes (``functions.py``), with the numbers of sixteen intervals.
 #pragma once
 
-#include <vector>
-
+#include "memory.h"
 #include "tape.h"
 
 namespace jaxscp {
@@ -40,21 +39,7 @@ struct Function {
   int inputs() const { return arguments + values + data; }
 };
 
-// Arrays that serve again: the same ones in the same order, so that they are found once.
-class Memory {
- public:
-  void again() { next_ = 0; }
-  Wide* take(size_t count) {
-    if (next_ == arrays_.size()) arrays_.emplace_back();
-    auto& array = arrays_[next_++];
-    if (array.size() < count) array.resize(count);
-    return array.data();
-  }
-
- private:
-  std::vector<std::vector<Wide>> arrays_;
-  size_t next_ = 0;
-};
+using Memory = MemoryOf<Wide>;
 
 class Player {
  public:

@@ -1,0 +1,25 @@
+// Arrays that serve again: the same ones in the same order, so that room for them is found once.
+#pragma once
+
+#include <cstddef>
+#include <vector>
+
+namespace jaxscp {
+
+template <typename T>
+class MemoryOf {
+ public:
+  void again() { next_ = 0; }
+  T* take(size_t count) {
+    if (next_ == arrays_.size()) arrays_.emplace_back();
+    auto& array = arrays_[next_++];
+    if (array.size() < count) array.resize(count);
+    return array.data();
+  }
+
+ private:
+  std::vector<std::vector<T>> arrays_;
+  size_t next_ = 0;
+};
+
+}  // namespace jaxscp
