@@ -13,6 +13,7 @@ import equinox as eqx
 import jax
 from jax.core import Tracer
 
+from jaxscp.compiler import options
 from jaxscp.mission import LandingScenario
 from jaxscp.structure import Description, describe, difference
 from jaxscp.validation import check_types, named_leaves, validate
@@ -30,7 +31,7 @@ class Program(NamedTuple):
 
     def compiled(self) -> jax.stages.Compiled:
         """For this machine; takes and returns leaves."""
-        return self.function.lower(*self.shapes).compile()
+        return self.function.lower(*self.shapes).compile(compiler_options=options())
 
 
 class Plan(NamedTuple):

@@ -14,7 +14,7 @@ from jaxscp import riccati
 from jaxscp.active_set import ActiveSet, slacks
 from jaxscp.inequalities import onto_nodes
 from jaxscp.intervals import Grid, Linearisation, evaluate
-from jaxscp.problem import OptimalControlProblem, end_condition, start_condition
+from jaxscp.problem import OptimalControlProblem, end_condition
 from jaxscp.types import Scalar
 
 HOLD = (
@@ -38,7 +38,6 @@ class Correction(eqx.Module):
 
 def correction(
     problem: OptimalControlProblem,
-    z: Float[Array, "nodes variables"],
     linear: Linearisation,
     active: ActiveSet,
     metric: Float[Array, "intervals inputs inputs"],
@@ -48,9 +47,8 @@ def correction(
     """Factor the conditions of a least step.
 
     Args:
-        problem: gives the conditions at both ends.
-        z: the reference.
-        linear: its intervals, linearised.
+        problem: gives the sizes.
+        linear: the reference.
         active: constraints that the step ended on.
         metric: convex curvature in scaled units; a correction is least in it.
         scale: typical sizes of a node's variables.
@@ -58,19 +56,19 @@ def correction(
     """
     n, stage = problem.state_size, problem.variables
     sizes = jnp.concatenate([scale, scale[n:]])
-    damping = _DAMPING * jnp.eye(sizes.shape[0], dtype=z.dtype)
+    damping = _DAMPING * jnp.eye(sizes.shape[0], dtype=metric.dtype)
     own = hold * active.dilation
     held = metric + hold * active.curvature() + damping
     # No interval counts the last controls' limits as its own: they stay.
-    last = hold * jnp.diag((jnp.arange(stage) >= n).astype(z.dtype)) + damping[:stage, :stage]
+    last = hold * jnp.diag((jnp.arange(stage) >= n).astype(metric.dtype)) + damping[:stage, :stage]
     chain = riccati.Chain(
         hessian=held.at[:, stage - 1, stage - 1].add(own[:-1]),
         last=last.at[-1, -1].add(own[-1]),
         flow=linear.jacobian.end * sizes / scale[:n, None],
-        initial=start_condition(problem, z[0, :n])[0] * scale[:n],
-        final=end_condition(problem, z[-1, :n])[0] * scale[:n],
+        initial=linear.initial.jacobian * scale[:n],
+        final=linear.final.jacobian * scale[:n],
     )
-    return Correction(riccati.factor(chain), active, jnp.asarray(hold, z.dtype), scale)
+    return Correction(riccati.factor(chain), active, jnp.asarray(hold, metric.dtype), scale)
 
 
 def corrected(
@@ -105,7 +103,7 @@ def corrected(
             nodes=-by.hold * onto_nodes(problem, by.active.pull(slack)),
             flow=(z[1:, :n] - out.end) / by.scale[:n],
             initial=jnp.zeros(by.factor.chain.initial.shape[0], z.dtype),
-            final=-end_condition(problem, z[-1, :n])[1],
+            final=-end_condition(problem, z[-1, :n]),
         )
         z += by.scale * riccati.solve(by.factor, right).nodes
         dilation = jnp.clip(z[:, -1], problem.dilation_min, problem.dilation_max)

@@ -13,7 +13,7 @@ from jaxscp.intervals import (
     active_points,
     given,
     intervals_of,
-    outputs,
+    linearisation,
     prices,
 )
 from jaxscp.lagrangian import FlightMultipliers
@@ -36,4 +36,4 @@ def expand(
     asked = prices(problem, Outputs(y.flow, jnp.ones(problem.nodes - 1, z.dtype), held))
     intervals, w = intervals_of(problem, grid), interval_inputs(problem, z)
     found, jacobian, curvature = sweeps.curved(intervals, w, given(problem, grid), asked)
-    return Linearisation(outputs(problem, found), outputs(problem, jacobian)), curvature
+    return linearisation(problem, z, found, jacobian), curvature

@@ -205,21 +205,17 @@ def local(
 ) -> Local:
     """Everything about a point, to second order."""
     (linear, intervals), n = expand(problem, z, y, grid), problem.state_size
-    (initial, at_start), (final, at_end) = (
-        start_condition(problem, z[0, :n]),
-        end_condition(problem, z[-1, :n]),
-    )
     gradient = equalities_gradient(problem, z, linear, y)
-    lack = riccati.Side(gradient, linear.outputs.end - z[1:, :n], at_start, at_end)
+    defect = linear.outputs.end - z[1:, :n]
     return Local(
         flow=linear.jacobian.end,
-        initial=initial,
-        final=final,
+        initial=linear.initial.jacobian,
+        final=linear.final.jacobian,
         intervals=intervals,
         nodes=node_hessians(problem, z, y.values) + _ends_hessians(problem, z, y),
         values=inequalities(problem, z, linear.outputs, ROOM),
         jacobians=jacobians(problem, z, linear),
-        lack=lack,
+        lack=riccati.Side(gradient, defect, linear.initial.value, linear.final.value),
     )
 
 
@@ -292,11 +288,11 @@ def _ends_hessians(problem: OptimalControlProblem, z: Float[Array, "nodes variab
     n, last = problem.state_size, problem.nodes - 1
 
     def at_start(state):
-        return jnp.vdot(y.initial, start_condition(problem, state)[1])
+        return jnp.vdot(y.initial, start_condition(problem, state))
 
     def at_end(state):
         cost = terminal_cost(problem, z.at[last, :n].set(state))
-        return cost + jnp.vdot(y.final, end_condition(problem, state)[1])
+        return cost + jnp.vdot(y.final, end_condition(problem, state))
 
     nodes = jnp.zeros((*z.shape, z.shape[1]), z.dtype)
     nodes = nodes.at[0, :n, :n].set(jax.hessian(at_start)(z[0, :n]))

@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float
 from jaxscp import runge_kutta, sweeps
 from jaxscp.constraints import AcrossIntervals, Constraint, SecondOrder, Throughout
 from jaxscp.discretise import interval_inputs
-from jaxscp.problem import OptimalControlProblem
+from jaxscp.problem import Condition, OptimalControlProblem, linearised_ends
 from jaxscp.sweeps import Block, Given, Intervals, Outcome, Watch
 
 METHOD = runge_kutta.SIXTH_ORDER
@@ -57,10 +57,15 @@ class Outputs(eqx.Module):
 
 
 class Linearisation(eqx.Module):
-    """Outputs and their Jacobians with respect to w; the variables come last."""
+    """All that is linearised about a point."""
 
     outputs: Outputs
     jacobian: Outputs
+    """With respect to w; the variables come last."""
+    initial: Condition
+    """At the start."""
+    final: Condition
+    """At the end."""
 
 
 @eqx.filter_jit  # traced once for all calls of one program
@@ -76,7 +81,14 @@ def linearise(
 ) -> Linearisation:
     """Outputs of every interval and their Jacobians."""
     found = sweeps.linear(intervals_of(problem, grid), interval_inputs(problem, z), given(problem, grid))
-    return Linearisation(*(outputs(problem, part) for part in found))
+    return linearisation(problem, z, *found)
+
+
+def linearisation(
+    problem: OptimalControlProblem, z: Float[Array, "nodes variables"], found: Outcome, jacobian: Outcome
+) -> Linearisation:
+    """From what a pass found at z."""
+    return Linearisation(outputs(problem, found), outputs(problem, jacobian), *linearised_ends(problem, z))
 
 
 def intervals_of(problem: OptimalControlProblem, grid: Grid) -> Intervals:

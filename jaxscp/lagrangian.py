@@ -48,7 +48,7 @@ def no_multipliers(
 
     def like(z):
         outputs, n = evaluate(problem, z, grid), problem.state_size
-        initial, final = start_condition(problem, z[0, :n])[1], end_condition(problem, z[-1, :n])[1]
+        initial, final = start_condition(problem, z[0, :n]), end_condition(problem, z[-1, :n])
         return FlightMultipliers(outputs.end, initial, final, inequalities(problem, z, outputs))
 
     return jax.tree.map(lambda v: jnp.zeros(v.shape, v.dtype), jax.eval_shape(like, z))
@@ -65,8 +65,8 @@ def lagrangian(
     n = problem.state_size
     total = jnp.sum(outputs.cost) + terminal_cost(problem, z)
     total += jnp.vdot(y.flow, outputs.end - z[1:, :n])
-    total += jnp.vdot(y.initial, start_condition(problem, z[0, :n])[1])
-    total += jnp.vdot(y.final, end_condition(problem, z[-1, :n])[1])
+    total += jnp.vdot(y.initial, start_condition(problem, z[0, :n]))
+    total += jnp.vdot(y.final, end_condition(problem, z[-1, :n]))
     return total - sum(map(jnp.vdot, y.values, inequalities(problem, z, outputs, room)), jnp.zeros(()))
 
 

@@ -15,7 +15,7 @@ from jaxscp.constraints import AtNodes, Constraint, NonNegative, SecondOrder, Ze
 from jaxscp.convexify import terminal_cost
 from jaxscp.intervals import Linearisation, active_points, value_at
 from jaxscp.lagrangian import FlightMultipliers
-from jaxscp.problem import OptimalControlProblem, end_condition, start_condition
+from jaxscp.problem import Condition, OptimalControlProblem
 
 
 def lifted_program(
@@ -87,12 +87,10 @@ def flight_multipliers(
         for c, y in zip(problem.constraints, values, strict=True)
     ]
     dilation = found.rows[:, None, first : first + 2]
-    state = jnp.zeros(states, found.rows.dtype)
-    initial, final = (condition(problem, state)[1].shape[0] for condition in (start_condition, end_condition))
     return FlightMultipliers(
         flow=found.links[1:-1, :states],
-        initial=found.links[0, :initial],
-        final=found.links[-1, :final],
+        initial=found.links[0, : linear.initial.value.shape[0]],
+        final=found.links[-1, : linear.final.value.shape[0]],
         values=(*values, dilation),
     )
 
@@ -133,8 +131,8 @@ def lifted_links(
     jacobian = linear.jacobian.end
     intervals, _, inputs = jacobian.shape
     defect = linear.outputs.end - z[1:, :n]
-    initial, initial_right = _padded(start_condition(problem, z[0, :n]), stage, inputs)
-    final, final_right = _padded(end_condition(problem, z[-1, :n]), stage, inputs)
+    initial, initial_right = _padded(linear.initial, stage, inputs)
+    final, final_right = _padded(linear.final, stage, inputs)
     none = jnp.zeros((1, stage, inputs), z.dtype)
     shared = jnp.eye(stage - n, dtype=z.dtype)
     before = jnp.zeros((intervals, stage, inputs), z.dtype)
@@ -151,9 +149,9 @@ def lifted_links(
     )
 
 
-def _padded(condition, rows: int, inputs: int):
+def _padded(condition: Condition, rows: int, inputs: int):
     """(matrix, right-hand side) for a step of the state, padded with rows that say nothing."""
-    matrix, value = condition
+    matrix, value = condition.jacobian, condition.value
     pad = rows - value.shape[0]
     return jnp.pad(matrix, ((0, pad), (0, inputs - matrix.shape[1]))), jnp.pad(-value, (0, pad))
 

@@ -45,7 +45,7 @@ from jaxscp.lifted import (
 )
 from jaxscp.lifted import check as check_liftable
 from jaxscp.line_search import Merit, Step, search
-from jaxscp.problem import OptimalControlProblem, end_condition, node_times, typical_sizes
+from jaxscp.problem import OptimalControlProblem, node_times, typical_sizes
 from jaxscp.reflown import reflown_gradient
 from jaxscp.scp import Answer, History
 from jaxscp.sensitivity import follow
@@ -208,7 +208,7 @@ class NewtonSCP(eqx.Module):
             z=state.z,
             move=move,
             room=slacks(problem, state.linear.outputs),
-            correction=correction(problem, state.z, state.linear, held, clipped.hessian, state.scale),
+            correction=correction(problem, state.linear, held, clipped.hessian, state.scale),
             merit=judge,
             enough=jnp.max(jax.vmap(judge)(state.past)) - 1e-4 * jnp.abs(gain),
             grid=self.grid,
@@ -336,7 +336,7 @@ class NewtonSCP(eqx.Module):
         def once(carry, firmness):
             z, linear = carry
             near = near_limits(problem, linear, z, sizes)
-            by = correction(problem, z, linear, near, metric, state.scale, firmness)
+            by = correction(problem, linear, near, metric, state.scale, firmness)
             z = corrected(problem, z, by, self.grid, self.correction_rounds)
             return (z, linearise(problem, z, self.grid)), None
 
@@ -390,8 +390,7 @@ def _exact(
     beyond = (state.z[:, -1] - nearest_dilation_limit(problem, state.z[:, -1])) / scale[stage - 1]
 
     held = _scaled(state.curvature, scale) + HOLD * active.curvature() + jax.vmap(jnp.diag)(at_limit[:-1])
-    ends, _ = end_condition(problem, state.z[-1, :n])
-    ends = ends * scale[:n]
+    ends = state.linear.final.jacobian * scale[:n]
     final = jnp.diag(
         at_limit[-1, :stage] + 0.5 * state.proximal * (jnp.arange(stage) >= n).astype(scale.dtype)
     )

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Int
 from jaxscp import ahead, archive, lanes
 from jaxscp.allocation import allocate
 from jaxscp.certificate import Certificate, acceptable, certify
+from jaxscp.compiler import quickly
 from jaxscp.initial_guess import initial_guess
 from jaxscp.lagrangian import FlightMultipliers
 from jaxscp.landing import landing_problem
@@ -195,17 +196,17 @@ def trajectory_of(problem: OptimalControlProblem, z: Float[Array, "nodes variabl
 # nodes and faces share the other, which is large.
 
 
-@functools.partial(jax.jit, static_argnums=0)
+@functools.partial(quickly, static_argnums=0)
 def _setup(planner: Planner, scenario: LandingScenario):
     return _strongly_typed((valid(scenario), *planner.setup(scenario)))
 
 
-@functools.partial(jax.jit, static_argnums=0)
+@functools.partial(quickly, static_argnums=0)
 def _setup_again(planner: Planner, scenario: LandingScenario, allocation):
     return _strongly_typed((valid(scenario), landing_problem(scenario, allocation, planner.method.published)))
 
 
-@functools.partial(jax.jit, static_argnums=0)
+@functools.partial(quickly, static_argnums=0)
 def _solve(planner: Planner, ok: Flag, problem: OptimalControlProblem, z, allocation) -> Solution:
     solution = planner.conclude(problem, *solve(planner.method, problem, z, ok), allocation)
     return _blank_unless(ok, solution)

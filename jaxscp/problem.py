@@ -8,6 +8,7 @@ and the mesh adapts. A node's variables are z = (x, u, s); where the problem car
 cost so far, phi, and the time, t, come after x.
 """
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -123,25 +124,42 @@ class OptimalControlProblem(eqx.Module):
         return jnp.append(*self.rate(state, jnp.append(control[:-1], share)))
 
 
-def start_condition(problem: OptimalControlProblem, state: Float[Array, "states"]):
-    """Jacobian and value of the conditions at the start, where time (and running cost) are zero."""
+class Condition(eqx.Module):
+    """Conditions at one end of the flight, to first order about its state."""
 
-    def condition(x):
-        physical, time = problem.split_state(x)
-        value = problem.initial.function(physical, time, problem.initial.parameters)
-        return jnp.concatenate([value, x[problem.dynamics.state_size :]])
-
-    return jax.jacfwd(condition)(state), condition(state)
+    jacobian: Float[Array, "conditions states"]
+    value: Float[Array, "conditions"]
+    """Zero where they hold."""
 
 
-def end_condition(problem: OptimalControlProblem, state: Float[Array, "states"]):
-    """Jacobian and value of the conditions at the end."""
+def start_condition(
+    problem: OptimalControlProblem, state: Float[Array, "states"]
+) -> Float[Array, "conditions"]:
+    """Value of the conditions at the start, where time (and running cost) are zero."""
+    physical, time = problem.split_state(state)
+    value = problem.initial.function(physical, time, problem.initial.parameters)
+    return jnp.concatenate([value, state[problem.dynamics.state_size :]])
 
-    def condition(x):
-        physical, time = problem.split_state(x)
-        return problem.final.function(physical, time, problem.final.parameters)
 
-    return jax.jacfwd(condition)(state), condition(state)
+def end_condition(
+    problem: OptimalControlProblem, state: Float[Array, "states"]
+) -> Float[Array, "conditions"]:
+    """Value of the conditions at the end."""
+    physical, time = problem.split_state(state)
+    return problem.final.function(physical, time, problem.final.parameters)
+
+
+def linearised_ends(
+    problem: OptimalControlProblem, z: Float[Array, "nodes variables"]
+) -> tuple[Condition, Condition]:
+    """The conditions at the start and at the end."""
+    n = problem.state_size
+
+    def one(condition, state):
+        value = functools.partial(condition, problem)
+        return Condition(jax.jacfwd(value)(state), value(state))
+
+    return one(start_condition, z[0, :n]), one(end_condition, z[-1, :n])
 
 
 def typical_sizes(z: Float[Array, "nodes variables"]) -> Float[Array, "variables"]:

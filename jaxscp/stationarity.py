@@ -12,7 +12,7 @@ from jaxscp.inequalities import jacobians, onto_nodes, pulled
 from jaxscp.intervals import Linearisation
 from jaxscp.lagrangian import FlightMultipliers
 from jaxscp.lifted import cost_gradient
-from jaxscp.problem import OptimalControlProblem, end_condition, start_condition, typical_sizes
+from jaxscp.problem import OptimalControlProblem, typical_sizes
 from jaxscp.types import Scalar
 
 
@@ -53,5 +53,5 @@ def equalities_gradient(
     intervals = gradient[:-1] + jnp.einsum("isw,is->iw", linear.jacobian.end, y.flow)
     nodes = onto_nodes(problem, intervals).at[1:, :n].add(-y.flow)
     nodes = nodes.at[-1].add(gradient[-1, : problem.variables])
-    nodes = nodes.at[0, :n].add(start_condition(problem, z[0, :n])[0].T @ y.initial)
-    return nodes.at[-1, :n].add(end_condition(problem, z[-1, :n])[0].T @ y.final)
+    nodes = nodes.at[0, :n].add(linear.initial.jacobian.T @ y.initial)
+    return nodes.at[-1, :n].add(linear.final.jacobian.T @ y.final)

@@ -209,7 +209,7 @@ def _line_search(pieces: Pieces, method: NewtonSCP, problem, z, linear, y, metri
     """Of whole steps: shorter ones are tried only where these fail."""
     sizes, grid = typical_sizes(z), method.grid
     active = active_set(problem, linear, y, stage_sizes(problem, sizes))
-    args = (problem, z, linear, active, metric, sizes)
+    args = (problem, linear, active, metric, sizes)
     by = pieces.time("correction: factor", count, correction, *args)
     room = slacks(problem, linear.outputs)
     rounds = method.correction_rounds

@@ -1,0 +1,41 @@
+"""How XLA compiles planners: as quickly as it can."""
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.core import Tracer
+
+QUICKLY = {"xla_cpu_use_fusion_emitters": False}
+"""A planner is many small operations, and to emit them fused takes two fifths of the time to compile it for a CPU,
+without a plan being any faster. From jax 0.12 on there is no such choice."""
+
+
+@functools.cache
+def options() -> dict[str, bool]:
+    """``compiler_options`` for what JAX compiles; those alone that this version knows."""
+    if jax.default_backend() != "cpu":
+        return {}
+    try:
+        jax.jit(lambda v: v, compiler_options=QUICKLY).lower(jax.ShapeDtypeStruct((), float)).compile()
+    except Exception:  # XLA's own types, which differ by version
+        return {}
+    return QUICKLY
+
+
+def quickly(function: Callable[..., Any], static_argnums: int) -> Callable[..., Any]:
+    """``jax.jit``, with these options where a call is compiled by itself and is not part of another program."""
+    part = jax.jit(function, static_argnums=static_argnums)
+
+    @functools.cache
+    def program():
+        return jax.jit(function, static_argnums=static_argnums, compiler_options=options())
+
+    @functools.wraps(function)
+    def call(*args: Any) -> Any:
+        leaves = [jnp.zeros(()), *jax.tree.leaves(args)]  # under ``jit`` even the zero is traced
+        return (part if any(isinstance(leaf, Tracer) for leaf in leaves) else program())(*args)
+
+    return call
