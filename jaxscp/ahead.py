@@ -73,6 +73,10 @@ class CompiledPlanner:
                 the field. The number of obstacles is free.
         """
         self._check(scenario)
+        return self.run(scenario)
+
+    def run(self, scenario: LandingScenario) -> Any:
+        """The same for what has been checked."""
         leaves = jax.tree.leaves(without_obstacles(scenario))
         return jax.tree.unflatten(self.solution, self.solve(*self.setup(*leaves)))
 

@@ -10,7 +10,7 @@ import os
 import pathlib
 import platform
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -46,10 +46,23 @@ class Archive(NamedTuple):
     executable: dict[str, bytes]
 
 
-def write(file: str | os.PathLike, plan: Plan) -> None:
-    """Compile and store a planner; the file appears whole or not at all."""
-    from jax import export  # slow to import
+def programs_of(plan: Plan) -> dict[str, jax.stages.Compiled]:
+    """Both programs, compiled so that they can be stored."""
+    with without_cache():
+        return {name: getattr(plan, name).compiled() for name in PROGRAMS}
 
+
+def write(
+    file: str | os.PathLike, plan: Plan, programs: Mapping[str, jax.stages.Compiled], portable: bool = True
+) -> None:
+    """Store a planner; the file appears whole or not at all.
+
+    Args:
+        file: to write.
+        plan: what is to be stored.
+        programs: of the plan.
+        portable: whether in portable form too, for other machines.
+    """
     header = {
         "format": FORMAT,
         "nodes": plan.nodes,
@@ -67,19 +80,24 @@ def write(file: str | os.PathLike, plan: Plan) -> None:
     try:
         with zipfile.ZipFile(partial, "w") as archive:
             for name in PROGRAMS:
-                program: Program = getattr(plan, name)
-                checks = [export.DisabledSafetyCheck.custom_call(target) for target in COMPILED]
-                portable = export.export(program.function, disabled_checks=checks)(*program.shapes)
-                module = portable.mlir_module_serialized
-                header["compiled"] += [target for target in COMPILED if target.encode() in module]
-                archive.writestr(f"{name}.stablehlo", bytes(portable.serialize()), zipfile.ZIP_DEFLATED)
-                with without_cache():
-                    executable, _, _ = serialize_executable.serialize(program.compiled())
+                if portable:
+                    archive.writestr(
+                        f"{name}.stablehlo", _portable(getattr(plan, name)), zipfile.ZIP_DEFLATED
+                    )
+                executable, _, _ = serialize_executable.serialize(programs[name])
+                header["compiled"] += [target for target in COMPILED if target.encode() in executable]
                 archive.writestr(f"{name}.executable", executable)
             archive.writestr("header.json", json.dumps(header))
         partial.replace(target)
     finally:
         partial.unlink(missing_ok=True)
+
+
+def _portable(program: Program) -> bytes:
+    from jax import export  # slow to import
+
+    checks = [export.DisabledSafetyCheck.custom_call(target) for target in COMPILED]
+    return bytes(export.export(program.function, disabled_checks=checks)(*program.shapes).serialize())
 
 
 def read(file: str | os.PathLike) -> Archive:
@@ -92,7 +110,8 @@ def read(file: str | os.PathLike) -> Archive:
                     f"{file}: its format is {header['format']}, and this version of jaxscp reads {FORMAT}; export the "
                     "planner again."
                 )
-            portable = {name: archive.read(f"{name}.stablehlo") for name in PROGRAMS}
+            forms = [name for name in PROGRAMS if f"{name}.stablehlo" in archive.namelist()]
+            portable = {name: archive.read(f"{name}.stablehlo") for name in forms}
             return Archive(header, portable, {name: archive.read(f"{name}.executable") for name in PROGRAMS})
     except (zipfile.BadZipFile, KeyError, TypeError, json.JSONDecodeError, UnicodeDecodeError) as error:
         raise InvalidExport(f"{file}: not a planner that Planner.export wrote: {error}") from error

@@ -25,17 +25,31 @@ def options() -> dict[str, bool]:
     return QUICKLY
 
 
-def quickly(function: Callable[..., Any], static_argnums: int) -> Callable[..., Any]:
-    """``jax.jit``, with these options where a call is compiled by itself and is not part of another program."""
-    part = jax.jit(function, static_argnums=static_argnums)
+class quickly:
+    """``jax.jit``, with these options where a call is compiled by itself and is not part of another program.
 
-    @functools.cache
-    def program():
-        return jax.jit(function, static_argnums=static_argnums, compiler_options=options())
+    A decorator.
 
-    @functools.wraps(function)
-    def call(*args: Any) -> Any:
-        leaves = [jnp.zeros(()), *jax.tree.leaves(args)]  # under ``jit`` even the zero is traced
-        return (part if any(isinstance(leaf, Tracer) for leaf in leaves) else program())(*args)
+    Args:
+        function: of arrays; left as ``function``.
+        static_argnums: as for ``jax.jit``.
+    """
 
-    return call
+    def __init__(self, function: Callable[..., Any], static_argnums: int) -> None:
+        self.function = function
+        self._static = static_argnums
+        self._part = jax.jit(function, static_argnums=static_argnums)
+
+    def __call__(self, *args: Any) -> Any:
+        """Call the function."""
+        return (self._part if inside(args) else self._program)(*args)
+
+    @functools.cached_property
+    def _program(self) -> Callable[..., Any]:
+        return jax.jit(self.function, static_argnums=self._static, compiler_options=options())
+
+
+def inside(args: Any) -> bool:
+    """Whether a call with these arguments is part of another program, or of a transformation."""
+    leaves = [jnp.zeros(()), *jax.tree.leaves(args)]  # under ``jit`` even the zero is traced
+    return any(isinstance(leaf, Tracer) for leaf in leaves)

@@ -56,7 +56,7 @@ def load(file: str | os.PathLike, *, compile: bool = True) -> CompiledPlanner:
         solution = prototype(header["solution"], _CLASSES)
     except (KeyError, TypeError) as error:
         raise InvalidExport(f"{file}: from another version of jaxscp; export the planner again.") from error
-    if differs and not compile:
+    if differs and not (compile and archive.portable):
         raise InvalidExport(f"{file}: made on another machine, which differs in {', '.join(differs)}.")
     programs = compiled_anew(archive) if differs else executables(archive)
     return CompiledPlanner(

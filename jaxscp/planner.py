@@ -2,6 +2,7 @@
 
 import functools
 import os
+import pathlib
 from typing import Any
 
 import equinox as eqx
@@ -15,6 +16,7 @@ from jaxscp.allocation import allocate
 from jaxscp.certificate import Certificate, acceptable, certify
 from jaxscp.compiler import quickly
 from jaxscp.initial_guess import initial_guess
+from jaxscp.kept import kept
 from jaxscp.lagrangian import FlightMultipliers
 from jaxscp.landing import landing_problem
 from jaxscp.mission import LandingScenario
@@ -86,6 +88,8 @@ class Planner(eqx.Module):
                 compilation; inside them the lane's status is ``invalid_input``).
         """
         self._check(scenario)
+        if (compiled := kept(self, scenario)) is not None:
+            return compiled.run(scenario)
         return _solve(self, *_setup(self, ahead.without_obstacles(scenario)))
 
     def replan(self, solution: Solution, scenario: LandingScenario) -> Solution:
@@ -115,7 +119,7 @@ class Planner(eqx.Module):
             >>> jaxscp.status_names(planner(scenario).status)
             'iteration_limit'
         """
-        return ahead.compiled(self._plan_ahead(scenario, lanes))
+        return ahead.compiled(self.plan_ahead(scenario, lanes))
 
     def export(self, file: str | os.PathLike, scenario: LandingScenario, lanes: int | None = None) -> None:
         """Compile as ``compile`` does, and write what comes of it to a file, for ``jaxscp.load``.
@@ -132,11 +136,16 @@ class Planner(eqx.Module):
             NotImplementedError: if the method solves on the host (``conic.OSQP``), which no file can hold.
             OSError: if the file cannot be written.
         """
-        archive.write(file, self._plan_ahead(scenario, lanes))
+        plan = self.plan_ahead(scenario, lanes)
+        if not (folder := pathlib.Path(file).absolute().parent).is_dir():
+            raise FileNotFoundError(f"{folder}: no such folder to write {os.fspath(file)} in")
+        archive.write(file, plan, archive.programs_of(plan))
 
-    def _plan_ahead(self, scenario: LandingScenario, lanes: int | None) -> ahead.Plan:
-        parts = functools.partial(_setup, self), functools.partial(_solve, self)
-        return ahead.plan_ahead(*parts, scenario, self.nodes, lanes)
+    def plan_ahead(self, scenario: LandingScenario, lanes: int | None = None) -> ahead.Plan:
+        """What is to be compiled for scenarios like this one."""
+        # Not as parts of another program, so that XLA makes the same of them as where they are called.
+        first, second = (functools.partial(program.function, self) for program in (_setup, _solve))
+        return ahead.plan_ahead(first, second, scenario, self.nodes, lanes)
 
     def _check(self, scenario: LandingScenario) -> None:
         if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(scenario)):

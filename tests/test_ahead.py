@@ -15,6 +15,9 @@ import pytest
 
 import jaxscp
 from jaxscp import scenarios
+from jaxscp.conic import OSQP
+from jaxscp.conic.interior_point import InteriorPoint
+from jaxscp.kept import kept
 from jaxscp.structure import describe, difference, prototype
 
 # The paper's mode on few nodes, because it compiles soonest.
@@ -214,6 +217,79 @@ def test_the_default_mode_comes_back_the_same(scenario, tmp_path):
     planner = jaxscp.Planner(nodes=10)
     planner.export(tmp_path / "planner.jaxscp", scenario)
     assert_same(jaxscp.load(tmp_path / "planner.jaxscp")(scenario), planner(scenario))
+
+
+CACHED = """
+import sys, jax
+jax.config.update("jax_enable_x64", True)
+import jaxscp
+jaxscp.use_cache(sys.argv[1])
+scenario = jaxscp.scenarios.ascent_to_platform()
+planner = jaxscp.Planner(nodes=10, method=jaxscp.SCP(max_iterations=4), samples=20)
+solution = planner(scenario)
+jaxscp.use_cache(None)
+expected = planner(scenario)
+assert all((a == b).all() for a, b in zip(jax.tree.leaves(solution), jax.tree.leaves(expected), strict=True))
+"""
+NOTHING_TRACED = """
+def traced(*arguments):
+    raise AssertionError("a kept planner was traced")
+
+jaxscp.Planner.setup = jaxscp.Planner.conclude = traced
+"""
+
+
+def kept_planners(folder):
+    return sorted(file.name for file in folder.glob("planner-*"))
+
+
+@pytest.mark.slow
+def test_a_kept_planner_is_found_by_the_next_process(tmp_path):
+    """Which traces nothing, gets the same bits, and makes anew what is damaged."""
+    run = lambda code: subprocess.run(  # noqa: E731
+        [sys.executable, "-c", code, tmp_path], check=True, capture_output=True, text=True
+    )
+    run(CACHED)
+    (name,) = kept_planners(tmp_path)
+    head, tail = CACHED.split("solution = ")
+    plan_only = f"{head}{NOTHING_TRACED}solution = planner(scenario)\nassert float(solution.cost) > 0.0\n"
+    run(plan_only)
+    (tmp_path / name).write_bytes(b"damaged")
+    assert "made again" in run(f"{head}solution = {tail}").stderr
+    run(plan_only)
+    assert kept_planners(tmp_path) == [name]
+
+
+@pytest.mark.slow
+def test_what_a_name_does_not_tell_is_not_kept(scenario, tmp_path):
+    class Mine(jaxscp.SCP):
+        """A method of the user's own, of which another process may know another version."""
+
+    method = Mine(max_iterations=1)
+    jaxscp.use_cache(tmp_path)
+    try:
+        assert kept(jaxscp.Planner(nodes=10, method=method), scenario) is None
+        own_solver = jaxscp.SCP(max_iterations=1, conic=lambda p, a: InteriorPoint()(p, a))
+        assert kept(jaxscp.Planner(nodes=10, method=own_solver), scenario) is None
+        jax.jit(lambda: kept(PLANNER, scenario) is None or 1 / 0)()
+    finally:
+        jaxscp.use_cache(None)
+    assert kept(PLANNER, scenario) is None
+    assert not kept_planners(tmp_path)
+
+
+@pytest.mark.slow
+def test_a_solver_on_the_host_plans_though_it_cannot_be_kept(scenario, tmp_path):
+    planner = jaxscp.Planner(nodes=10, method=jaxscp.SCP(max_iterations=1, conic=OSQP()), samples=20)
+    expected = planner(scenario)
+    jaxscp.use_cache(tmp_path)
+    try:
+        with pytest.warns(UserWarning, match="cannot be kept"):
+            found = planner(scenario)
+    finally:
+        jaxscp.use_cache(None)
+    assert_same(found, expected)
+    assert not kept_planners(tmp_path)
 
 
 @pytest.mark.slow

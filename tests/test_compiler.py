@@ -7,7 +7,6 @@ import pytest
 
 from jaxscp import compiler
 
-
 ROUNDING = 1e-13
 
 
