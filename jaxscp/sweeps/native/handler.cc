@@ -1,5 +1,7 @@
 // What XLA calls on a CPU: sweeps the intervals of a batch of flights, sixteen at once, shared among its threads.
 
+#include <cstring>
+
 #include "description.h"
 #include "spread.h"
 #include "tangents.h"
@@ -19,14 +21,35 @@ class Lanes {
  public:
   Lanes(const Arrays& at, int64_t pack) : at_(at), begin_(pack * kLanes) {}
 
+  // Eight numbers of eight intervals at a time, which are rows in one place and columns in the other.
   void read(const double* from, int width, Wide* to) const {
-    for (int lane = 0; lane < kLanes; ++lane)
-      for (int i = 0; i < width; ++i) set(to[i], lane, from[interval(lane) * width + i]);
+    int i = 0;
+    for (; i + kWidth <= width; i += kWidth)
+      for (int half = 0; half < kLanes; half += kWidth) {
+        Pack v[kWidth];
+        for (int lane = 0; lane < kWidth; ++lane)
+          std::memcpy(&v[lane], from + interval(half + lane) * width + i, sizeof v[lane]);
+        transpose(v);
+        for (int k = 0; k < kWidth; ++k) (half ? to[i + k].high : to[i + k].low) = v[k];
+      }
+    for (; i < width; ++i)
+      for (int lane = 0; lane < kLanes; ++lane) set(to[i], lane, from[interval(lane) * width + i]);
   }
 
   void write(const Wide* from, int width, double* to) const {
-    for (int lane = 0; lane < kLanes && begin_ + lane < at_.count; ++lane)
-      for (int i = 0; i < width; ++i) to[(begin_ + lane) * width + i] = get(from[i], lane);
+    const int lanes = static_cast<int>(std::min<int64_t>(kLanes, at_.count - begin_));
+    double* const first = to + begin_ * width;
+    int i = 0;
+    for (; i + kWidth <= width; i += kWidth)
+      for (int half = 0; half < lanes; half += kWidth) {
+        Pack v[kWidth];
+        for (int k = 0; k < kWidth; ++k) v[k] = half ? from[i + k].high : from[i + k].low;
+        transpose(v);
+        for (int lane = 0; lane < std::min(kWidth, lanes - half); ++lane)
+          std::memcpy(first + (half + lane) * width + i, &v[lane], sizeof v[lane]);
+      }
+    for (; i < width; ++i)
+      for (int lane = 0; lane < lanes; ++lane) first[lane * width + i] = get(from[i], lane);
   }
 
   // Parameters of a flight, tape after tape; the last interval's serve the lanes behind it too.
