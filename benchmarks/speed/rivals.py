@@ -1,4 +1,4 @@
-"""Ours beside the published stack and IPOPT: whole plans, in one process, from the same guess.
+"""Ours beside the published stack and IPOPT: whole plans from the same guess, in turns, each in a process of its own.
 
 ``paper_ratio``: the published stack (CVXPY, CLARABEL, Numba) over ours, the same problem by the same method to the same
 stop. ``optimum_ratio``: its time to that stop over ours to the certified optimum, which is a better flight.
@@ -12,8 +12,9 @@ from typing import Any
 import jax
 import numpy as np
 
+from benchmarks.speed.apart import Apart, in_turns
 from benchmarks.speed.timing import elapsed
-from jaxscp import LandingScenario, Planner, scenarios, status_names
+from jaxscp import Planner, scenarios, status_names
 
 MISSIONS = {"platform": scenarios.platform_to_platform, "ascend": scenarios.ascent_to_platform}
 FIRST = "platform"  # whose ratios are the benchmark's
@@ -25,7 +26,7 @@ def run(echo: Callable[[str], None], nodes: int, repeats: int) -> dict[str, Any]
     echo(f"{'to the same stop':18}{'cost':>20}{'subproblems':>14}{'warm solve ms':>20}{'ratio':>8}")
     echo(f"{'':18}{'ours':>10}{'published':>10}{'ours':>7}{'publ.':>7}{'ours':>10}{'published':>10}")
     published = {name: against_published(name, nodes, repeats, echo) for name in MISSIONS}
-    optimum = to_optimum(MISSIONS[FIRST](), nodes, repeats, echo)
+    optimum = to_optimum(FIRST, nodes, repeats, echo)
     optimum_ratio = optimum["seconds_published"] / optimum["seconds"]
     ipopt_ratio = optimum["seconds_ipopt"] / optimum["seconds"]
     echo(f"the published stack's stop over that: {optimum_ratio:.2f} times; IPOPT: {ipopt_ratio:.1f} times")
@@ -39,24 +40,16 @@ def run(echo: Callable[[str], None], nodes: int, repeats: int) -> dict[str, Any]
 
 
 def against_published(name: str, nodes: int, repeats: int, echo: Callable[[str], None]) -> dict[str, Any]:
-    """The paper's mode and the published stack, in turns."""
-    from benchmarks.rivals import paper
-    from benchmarks.rivals.convert import as_arrays, as_method, as_problem
-
-    arrays = as_arrays(MISSIONS[name](), nodes)
-    solve, (problem, z) = jax.jit(as_method(arrays).run), as_problem(arrays)
-    ours, theirs = jax.block_until_ready(solve(problem, z)), paper.solve(arrays)
-    times, times_published = [], []
-    for _ in range(repeats):
-        times.append(elapsed(lambda: solve(problem, z)))
-        times_published.append(_seconds(paper.solve(arrays)))
+    """The paper's mode and the published stack."""
+    with Apart(ours_to_the_stop, name, nodes) as ours, Apart(published, name, nodes) as theirs:
+        calls, calls_published = in_turns([ours, theirs], repeats)
     row = {
-        "cost": float(ours.cost),
-        "cost_published": float(theirs.iterations[-1].cost),
-        "iterations": int(ours.iterations),
-        "iterations_published": len(theirs.iterations),
-        "seconds": float(np.median(times)),
-        "seconds_published": float(np.median(times_published)),
+        "cost": calls[0]["cost"],
+        "cost_published": calls_published[0]["cost"],
+        "iterations": calls[0]["iterations"],
+        "iterations_published": calls_published[0]["iterations"],
+        "seconds": _median(calls),
+        "seconds_published": _median(calls_published),
     }
     row["ratio"] = row["seconds_published"] / row["seconds"]
     echo(
@@ -67,43 +60,88 @@ def against_published(name: str, nodes: int, repeats: int, echo: Callable[[str],
     return row
 
 
-def _seconds(published: Any) -> float:
-    return sum(i.discretise_seconds + i.setup_seconds + i.solver_seconds for i in published.iterations)
+def to_optimum(name: str, nodes: int, repeats: int, echo: Callable[[str], None]) -> dict[str, Any]:
+    """The default mode's whole plan, guess and certificate included, and the published stack to its stop; then IPOPT's
+    solution alone."""
+    with Apart(ours_to_the_optimum, name, nodes) as ours, Apart(published, name, nodes) as theirs:
+        calls, calls_published = in_turns([ours, theirs], repeats)
+    with Apart(ipopt, name, nodes) as best:
+        (starts,) = in_turns([best], 1)
+    start, seconds, seconds_published = starts[0], _median(calls), _median(calls_published)
+    echo(
+        f"to the optimum, {nodes} nodes: ours {calls[0]['cost']:.4f} ({calls[0]['status']}) in "
+        f"{1e3 * seconds:.1f} ms, the published stack to its stop in {1e3 * seconds_published:.1f} ms,"
+    )
+    echo(
+        f"IPOPT {start['cost']:.4f} ({start['status']}, {start['iterations']} iterations) in "
+        f"{start['seconds']:.2f} s"
+    )
+    solved = start["status"] == "Solve_Succeeded"
+    return {
+        "status": calls[0]["status"],
+        "cost": calls[0]["cost"],
+        "cost_ipopt": start["cost"],
+        "same_cost": solved and abs(start["cost"] / calls[0]["cost"] - 1.0) < SAME_COST,
+        "seconds": seconds,
+        "seconds_published": seconds_published,
+        "seconds_ipopt": start["seconds"],
+        "ipopt": start,
+    }
 
 
-def to_optimum(
-    scenario: LandingScenario, nodes: int, repeats: int, echo: Callable[[str], None]
-) -> dict[str, Any]:
-    """The default mode's whole plan, guess and certificate included, in turns with the published stack to its stop; and
-    IPOPT's solution alone."""
+def _median(calls: list[dict[str, Any]]) -> float:
+    return float(np.median([call["seconds"] for call in calls]))
+
+
+# What runs in processes of their own: each makes a function that plans once, and says how long that took.
+
+
+def ours_to_the_stop(name: str, nodes: int) -> Callable[[], dict[str, Any]]:
+    """The paper's mode; guess and certificate left out."""
+    from benchmarks.rivals.convert import as_arrays, as_method, as_problem
+
+    arrays = as_arrays(MISSIONS[name](), nodes)
+    solve, (problem, z) = jax.jit(as_method(arrays).run), as_problem(arrays)
+    found = jax.block_until_ready(solve(problem, z))
+
+    def plan():
+        seconds = elapsed(lambda: solve(problem, z))
+        return {"seconds": seconds, "cost": float(found.cost), "iterations": int(found.iterations)}
+
+    return plan
+
+
+def published(name: str, nodes: int) -> Callable[[], dict[str, Any]]:
+    """The published stack."""
     from benchmarks.rivals import paper
+    from benchmarks.rivals.convert import as_arrays
+
+    arrays = as_arrays(MISSIONS[name](), nodes)
+
+    def plan():
+        iterations = paper.solve(arrays).iterations
+        seconds = sum(i.discretise_seconds + i.setup_seconds + i.solver_seconds for i in iterations)
+        return {"seconds": seconds, "cost": float(iterations[-1].cost), "iterations": len(iterations)}
+
+    return plan
+
+
+def ours_to_the_optimum(name: str, nodes: int) -> Callable[[], dict[str, Any]]:
+    """The default mode as it is called."""
+    planner, scenario = Planner(nodes=nodes), MISSIONS[name]()
+    found = planner(scenario)
+
+    def plan():
+        seconds = elapsed(lambda: planner(scenario))
+        return {"seconds": seconds, "cost": float(found.cost), "status": str(status_names(found.status))}
+
+    return plan
+
+
+def ipopt(name: str, nodes: int) -> Callable[[], dict[str, Any]]:
+    """IPOPT on the identical transcription, from the guess itself."""
     from benchmarks.rivals.convert import as_arrays
     from benchmarks.rivals.optimum import Optimum
 
-    planner = Planner(nodes=nodes)
-    ours = jax.block_until_ready(planner(scenario))
-    arrays = as_arrays(scenario, nodes)
-    starts = Optimum(arrays).solve(1)  # from the guess itself
-    times, times_published = [], []
-    for _ in range(repeats):
-        times.append(elapsed(lambda: planner(scenario)))
-        times_published.append(_seconds(paper.solve(arrays)))
-    starts += Optimum(arrays).solve(1)
-    cost, cost_ipopt, seconds = float(ours.cost), starts[0].cost, float(np.median(times))
-    seconds_ipopt = min(start.seconds for start in starts)
-    echo(
-        f"to the optimum, {nodes} nodes: ours {cost:.4f} ({status_names(ours.status)}) in {1e3 * seconds:.1f} ms,"
-    )
-    echo(
-        f"IPOPT {cost_ipopt:.4f} ({starts[0].status}, {starts[0].iterations} iterations) in {seconds_ipopt:.2f} s"
-    )
-    return {
-        "status": str(status_names(ours.status)),
-        "cost": cost,
-        "cost_ipopt": cost_ipopt,
-        "same_cost": starts[0].status == "Solve_Succeeded" and abs(cost_ipopt / cost - 1.0) < SAME_COST,
-        "seconds": seconds,
-        "seconds_published": float(np.median(times_published)),
-        "seconds_ipopt": seconds_ipopt,
-        "ipopt": dataclasses.asdict(starts[0]),
-    }
+    optimum = Optimum(as_arrays(MISSIONS[name](), nodes))
+    return lambda: dataclasses.asdict(optimum.solve(1)[0])
