@@ -33,9 +33,10 @@ def use_cache(folder: str | os.PathLike | None) -> None:
         >>> jaxscp.use_cache(tempfile.mkdtemp())  # doctest: +SKIP
     """
     global _folder
-    _folder = None if folder is None else pathlib.Path(folder).absolute()
-    if _folder is not None:
-        _folder.mkdir(parents=True, exist_ok=True)
+    wanted = None if folder is None else pathlib.Path(folder).absolute()
+    if wanted is not None:
+        wanted.mkdir(parents=True, exist_ok=True)
+    _folder = wanted
     jax.config.update("jax_compilation_cache_dir", None if _folder is None else str(_folder))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)

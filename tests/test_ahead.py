@@ -260,6 +260,13 @@ def test_a_kept_planner_is_found_by_the_next_process(tmp_path):
     assert kept_planners(tmp_path) == [name]
 
 
+def test_a_folder_that_cannot_be_made_is_not_in_use(scenario, tmp_path):
+    (tmp_path / "taken").write_text("")
+    with pytest.raises(FileExistsError):
+        jaxscp.use_cache(tmp_path / "taken")
+    assert kept(PLANNER, scenario) is None
+
+
 @pytest.mark.slow
 def test_what_a_name_does_not_tell_is_not_kept(scenario, tmp_path):
     class Mine(jaxscp.SCP):
