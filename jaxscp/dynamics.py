@@ -80,7 +80,7 @@ class RigidBody(Dynamics):
                 velocity,
                 acceleration,
                 rotations.quaternion_rate(attitude, body_rate),
-                jnp.linalg.inv(self.inertia) @ torque,
+                _inverse(self.inertia) @ torque,
             ]
         )
 
@@ -89,6 +89,13 @@ class RigidBody(Dynamics):
         wrench = jnp.concatenate([self.thrust_map, self.torque_map])
         weight = jnp.concatenate([-self.mass * self.gravity, jnp.zeros_like(self.gravity)])
         return jnp.linalg.pinv(wrench) @ weight
+
+
+def _inverse(matrix: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+    """By cross products: a factorisation is a dozen launches of a GPU, for each slope of a flight that is flown."""
+    a, b, c = matrix.T
+    rows = jnp.stack([jnp.cross(b, c), jnp.cross(c, a), jnp.cross(a, b)])
+    return rows / (rows[0] @ a)
 
 
 class DoubleIntegrator(Dynamics):
