@@ -20,6 +20,7 @@ from jax.experimental import serialize_executable
 from jaxscp.ahead import Plan, Program
 from jaxscp.caching import without_cache
 from jaxscp.conic import native as conic
+from jaxscp.normal import native as normal
 from jaxscp.riccati import native as riccati
 from jaxscp.structure import describe
 from jaxscp.sweeps import native as sweeps
@@ -28,6 +29,7 @@ FORMAT = 4
 PROGRAMS = ("setup", "solve")
 COMPILED = {
     **dict.fromkeys(conic.TARGETS, conic.runs_here),
+    **dict.fromkeys(normal.TARGETS, normal.available),
     **dict.fromkeys(riccati.TARGETS, riccati.available),
     sweeps.TARGET: sweeps.available,
 }
@@ -127,7 +129,7 @@ def machine() -> dict[str, str]:
         "runtime": device.client.platform_version,
         "host": platform.machine(),
         "instructions": hashlib.sha256(_instructions().encode()).hexdigest(),
-        "compiled": f"{conic.level()} {riccati.level()} {sweeps.level()}",
+        "compiled": f"{conic.level()} {normal.level()} {riccati.level()} {sweeps.level()}",
     }
 
 

@@ -27,12 +27,13 @@ from jaxscp.inequalities import (
     inequalities,
     jacobians,
     node_hessians,
-    pulled,
+    onto_nodes,
     unit,
 )
 from jaxscp.intervals import Grid, evaluate
 from jaxscp.lagrangian import FlightMultipliers
 from jaxscp.lifted import stage_sizes
+from jaxscp.normal import Rows, normal
 from jaxscp.problem import OptimalControlProblem, end_condition, start_condition, typical_sizes
 from jaxscp.stationarity import equalities_gradient
 from jaxscp.types import Count, Flag, Scalar
@@ -159,18 +160,18 @@ class Interior(eqx.Module):
     ) -> Iterate:
         """One Newton step."""
         here = local(problem, old.z, old.y, grid)
-        error = _error(problem, old, here, scale)
+        weigh = scalings(problem, old.slack, old.y.values)
+        inverses = tuple(inverse(k, s) for k, s in zip(cones(problem), old.slack, strict=True))
+        apart = tuple(w.inverse_square(g - s) for w, s, g in zip(weigh, old.slack, here.values, strict=True))
+        condensed = weighed(problem, here.jacobians, weigh, old.y.values, inverses, apart)
+        priced, poles, owed = condensed.sides
+
+        error = _error(problem, old, here, priced, scale)
         ready = (error <= 10.0 * old.mu) & (old.mu > self.last)
         mu = jnp.where(ready, jnp.maximum(self.last, jnp.minimum(0.2 * old.mu, old.mu**1.5)), old.mu)
 
-        weigh = scalings(problem, old.slack, old.y.values)
-        factor, shift = _definite(newton_chain(problem, here, weigh, scale), old.shift)
-        inverses = tuple(inverse(k, s) for k, s in zip(cones(problem), old.slack, strict=True))
-        target = tuple(
-            mu * pole - w.inverse_square(g - s)
-            for w, pole, s, g in zip(weigh, inverses, old.slack, here.values, strict=True)
-        )
-        gradient = pulled(problem, here.jacobians, target) - here.lack.nodes
+        factor, shift = _definite(newton_chain(problem, here, condensed, scale), old.shift)
+        gradient = mu * poles - owed - here.lack.nodes
         right = riccati.Side(gradient, -here.lack.flow, -here.lack.initial, -here.lack.final)
         move = scaled(riccati.solve(factor, scaled(right, scale)), scale)
 
@@ -219,19 +220,51 @@ def local(
     )
 
 
+class Weighed(eqx.Module):
+    """What the inequalities, eliminated, add to the Newton system."""
+
+    intervals: Float[Array, "intervals inputs inputs"]
+    """J' W^-2 J, of those of intervals."""
+    nodes: Float[Array, "nodes variables variables"]
+    """And of those of nodes."""
+    sides: tuple[Float[Array, "nodes variables"], ...]
+    """J' v of all, by nodes."""
+
+
+def weighed(problem: OptimalControlProblem, jacobians: Jacobians, weigh: Scalings, *sides: Values) -> Weighed:
+    """Eliminate the inequalities; with J' v for so many v."""
+    parts: dict[bool, list[Rows]] = {False: [], True: []}
+    for w, jacobian, nodal, *of in zip(weigh, jacobians, at_nodes(problem), *sides, strict=True):
+        none = jnp.zeros((*jacobian.shape[:3], 0), jacobian.dtype)
+        stacked = jnp.concatenate([none, *(v[..., None] for v in of)], axis=-1)
+        parts[nodal].append(Rows(jacobian, *_weights(w), stacked))
+    nodes = normal(tuple(parts[True]))
+    if not parts[False]:
+        count, inputs = problem.nodes - 1, interval_inputs(problem, nodes.matrix[:, 0]).shape[1]
+        blank = jnp.zeros((count, inputs, inputs), nodes.matrix.dtype)
+        return Weighed(blank, nodes.matrix, tuple(jnp.moveaxis(nodes.sides, 1, 0)))
+    intervals = normal(tuple(parts[False]))
+    pulls = zip(jnp.moveaxis(intervals.sides, 1, 0), jnp.moveaxis(nodes.sides, 1, 0), strict=True)
+    return Weighed(intervals.matrix, nodes.matrix, tuple(onto_nodes(problem, i) + n for i, n in pulls))
+
+
+def _weights(w: "OrthantScaling | second_order.SecondOrderScaling"):
+    """W^-2 as a diagonal and, of a second-order cone, a vector whose square is added."""
+    if isinstance(w, OrthantScaling):
+        return w.inverse_square(jnp.ones_like(w.slack)), None
+    size = w.eta[..., None]
+    return -second_order.reflect(jnp.ones_like(w.w)) / size**2, jnp.sqrt(2.0) * second_order.reflect(
+        w.w
+    ) / size
+
+
 def newton_chain(
-    problem: OptimalControlProblem, here: Local, weigh: Scalings, scale: Float[Array, "variables"]
+    problem: OptimalControlProblem, here: Local, condensed: Weighed, scale: Float[Array, "variables"]
 ) -> riccati.Chain:
     """Matrix of the Newton system in scaled variables, inequalities eliminated: the Lagrangian's second derivatives,
     and W^-2 of every cone."""
-    intervals, nodes = here.intervals, here.nodes
-    for w, jacobian, nodal in zip(weigh, here.jacobians, at_nodes(problem), strict=True):
-        weighted = jax.vmap(w.inverse_square, in_axes=-1, out_axes=-1)(jacobian)
-        gram = jnp.einsum("iprw,iprv->iwv", jacobian, weighted)
-        intervals, nodes = (intervals, nodes + gram) if nodal else (intervals + gram, nodes)
-    return lagrangian_chain(
-        problem, eqx.tree_at(lambda h: (h.intervals, h.nodes), here, (intervals, nodes)), scale
-    )
+    both = here.intervals + condensed.intervals, here.nodes + condensed.nodes
+    return lagrangian_chain(problem, eqx.tree_at(lambda h: (h.intervals, h.nodes), here, both), scale)
 
 
 def lagrangian_chain(
@@ -329,9 +362,13 @@ def _definite(chain: riccati.Chain, last: Scalar) -> tuple[riccati.Factor, Scala
 
 
 def _error(
-    problem: OptimalControlProblem, at: Iterate, here: Local, scale: Float[Array, "variables"]
+    problem: OptimalControlProblem,
+    at: Iterate,
+    here: Local,
+    priced: Float[Array, "nodes variables"],
+    scale: Float[Array, "variables"],
 ) -> Scalar:
-    dual = (here.lack.nodes - pulled(problem, here.jacobians, at.y.values)) * scale
+    dual = (here.lack.nodes - priced) * scale
     apart = [g - s for g, s in zip(here.values, at.slack, strict=True)]
     pairs = [
         (second_order.jordan_product(s, y) if isinstance(k, SecondOrder) else s * y)

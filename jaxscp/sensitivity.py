@@ -24,7 +24,7 @@ from jaxscp import lanes, riccati
 from jaxscp.central_path import MU, Point, conditions, inverse, lagrangian
 from jaxscp.conic.implicit import once, undefined
 from jaxscp.inequalities import Jacobians, Values, cones, pulled, unit
-from jaxscp.interior import Scalings, along, lagrangian_chain, local, newton_chain, scaled, scalings
+from jaxscp.interior import Scalings, along, lagrangian_chain, local, newton_chain, scaled, scalings, weighed
 from jaxscp.intervals import Grid
 from jaxscp.lagrangian import FlightMultipliers
 from jaxscp.problem import OptimalControlProblem, typical_sizes
@@ -200,5 +200,5 @@ def _system(problem: OptimalControlProblem, point: Point, grid: Grid) -> System:
         jacobians=here.jacobians,
         scalings=weigh,
         scale=scale,
-        reduced=riccati.factor(newton_chain(problem, here, weigh, scale)),
+        reduced=riccati.factor(newton_chain(problem, here, weighed(problem, here.jacobians, weigh), scale)),
     )

@@ -27,7 +27,7 @@ from jaxscp.correction import corrected, correction
 from jaxscp.curvature import Chain, condensed, projected
 from jaxscp.discretise import discretise
 from jaxscp.expansion import expand
-from jaxscp.interior import local, newton_chain, scaled, scalings
+from jaxscp.interior import local, newton_chain, scaled, scalings, weighed
 from jaxscp.intervals import evaluate
 from jaxscp.lagrangian import residual
 from jaxscp.lifted import lifted_program, stage_sizes
@@ -190,7 +190,8 @@ def _default_pieces(pieces: Pieces, method: NewtonSCP, problem: Any, z: Any, sol
     convex = pieces.time("curvature: clip", count, projected, hessian)
     defect = residual(linear.outputs, terminal_cost(problem, z), z).defect
     chain = Chain(linear.jacobian.end * scale / scale[:n, None], defect / scale[:n])
-    pieces.time("curvature: condense", count, condensed, hessian, chain, jnp.eye(problem.variables))
+    times = _condensed_times(method, problem, z, count)
+    pieces.time("curvature: condense", times, condensed, hessian, chain, jnp.eye(problem.variables))
 
     def assemble(problem, z, linear, hessian):
         return lifted_program(
@@ -203,6 +204,15 @@ def _default_pieces(pieces: Pieces, method: NewtonSCP, problem: Any, z: Any, sol
     _conic_pieces(pieces, method.conic, program, count, _newton_steps(solution))
     _line_search(pieces, method, problem, z, linear, y, convex.hessian, count)
     _interior_pieces(pieces, method, problem, solution)
+
+
+def _condensed_times(method: NewtonSCP, problem: Any, z: Any, count: int) -> int:
+    """Subproblems whose curvature is condensed: those near the end."""
+    state, step, times = jax.jit(method.init)(problem, z), jax.jit(method.step), 0
+    for _ in range(count):
+        times += bool(state.exact)
+        state = step(problem, state)
+    return times
 
 
 def _line_search(pieces: Pieces, method: NewtonSCP, problem, z, linear, y, metric, count: int) -> None:
@@ -231,13 +241,16 @@ def _interior_pieces(pieces: Pieces, method: NewtonSCP, problem: Any, solution: 
     here = inside("the problem to second order", steps, lambda p, z, y: local(p, z, y, grid), problem, z, y)
 
     def matrix(problem, here, start):
-        return newton_chain(problem, here, scalings(problem, start.slack, start.y.values), sizes)
+        weigh = scalings(problem, start.slack, start.y.values)
+        sides = (start.y.values, start.slack, start.slack)
+        condensed = weighed(problem, here.jacobians, weigh, *sides)
+        return newton_chain(problem, here, condensed, sizes), condensed.sides
 
-    chain = inside("matrix", steps, matrix, problem, here, start)
+    chain, _ = inside("matrix", steps, matrix, problem, here, start)
     factor = inside("factor", steps, riccati.factor, chain)
     inside("back-solve", steps, riccati.solve, factor, scaled(here.lack, sizes))
     ended = jax.jit(method.init)(problem, z)
-    pieces.time("polish", 1, method.polish, problem, ended)
+    pieces.time("polish", float(not solution.differentiable), method.polish, problem, ended)
     ended = eqx.tree_at(lambda s: s.multipliers, ended, y)
     pieces.time("residual of optimality", 1, method.optimality, problem, ended)
 

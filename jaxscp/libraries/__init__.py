@@ -3,6 +3,7 @@
 What they share is here too:
 
     pack.h         a number for eight places or intervals at once
+    dense.h        products of small matrices, their rows in registers
     memory.h       arrays that serve again
     runs_here.cc   whether this machine has the instructions of a library
     spread.h       work shared among the threads of XLA

@@ -1,8 +1,7 @@
 """The recursion in C++, as compiled for this machine.
 
-In the order in which they build on each other:
+In the order in which they build on each other (products are those of ``libraries/dense.h``):
 
-    dense.h       products of small matrices, their rows in registers
     recursion.h   the chain factored, and solved for
     handler.cc    what XLA calls: a thread a lane
 """

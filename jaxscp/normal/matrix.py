@@ -1,0 +1,18 @@
+"""The sums, on a CPU in float64 by C++ if that was compiled, and else as JAX.
+
+XLA copies and transposes every Jacobian for products that are small; C++ reads each of them once for all.
+"""
+
+import jax.numpy as jnp
+
+from jaxscp.libraries import choose
+from jaxscp.normal import in_jax, native
+from jaxscp.normal.rows import Normal, Rows
+
+__all__ = ["Normal", "Rows", "normal"]
+
+
+def normal(parts: tuple[Rows, ...]) -> Normal:
+    """Sums over all constraints, of which there must be one."""
+    cpu = native.normal if parts[0].jacobian.dtype == jnp.float64 and native.available() else None
+    return choose(cpu, in_jax.normal, parts)
