@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from multiprocessing.connection import Connection
 from typing import Any
 
-REST = 0.1  # s before a call: for the threads of who ran before to fall asleep
+REST = 0.1  # s before a turn: for the threads of who ran before to fall asleep
 
 
 class Apart:
@@ -17,9 +17,12 @@ class Apart:
     Args:
         make: (*args) -> the function, which takes nothing and returns what a pipe can carry; of a module.
         args: of ``make``.
+        calls: of the function, one after another, in a turn: the first after that of another finds the caches full of
+            what is not its own, and is not warm.
     """
 
-    def __init__(self, make: Callable[..., Callable[[], Any]], *args: Any) -> None:
+    def __init__(self, make: Callable[..., Callable[[], Any]], *args: Any, calls: int = 1) -> None:
+        self._calls = calls
         context = multiprocessing.get_context("spawn")
         self._pipe, other = context.Pipe()
         self._process = context.Process(target=_serve, args=(other, make, args), daemon=True)
@@ -32,10 +35,10 @@ class Apart:
         self._process.terminate()
         self._process.join()
 
-    def __call__(self) -> Any:
-        """Call it there."""
+    def __call__(self) -> list[Any]:
+        """A turn: what the calls returned."""
         time.sleep(REST)
-        self._pipe.send(None)
+        self._pipe.send(self._calls)
         found, error = self._pipe.recv()
         if error is not None:
             raise RuntimeError(error)
@@ -48,17 +51,17 @@ def _serve(pipe: Connection, make: Callable[..., Callable[[], Any]], args: tuple
     jax.config.update("jax_enable_x64", True)
     function = None
     while True:
-        pipe.recv()
+        calls = pipe.recv()
         try:
             function = function or make(*args)
-            pipe.send((function(), None))
+            pipe.send(([function() for _ in range(calls)], None))
         except Exception:
             pipe.send((None, traceback.format_exc()))
 
 
-def in_turns(functions: Sequence[Callable[[], Any]], repeats: int) -> list[list[Any]]:
-    """What each returns, called in turns; the first call, which may compile, is left out."""
+def in_turns(functions: Sequence[Apart], repeats: int) -> list[list[Any]]:
+    """What each returned in its turns; the first turn, which may compile, is left out."""
     for function in functions:
         function()
     rounds = [[function() for function in functions] for _ in range(repeats)]
-    return [list(calls) for calls in zip(*rounds, strict=True)]
+    return [[call for turn in turns for call in turn] for turns in zip(*rounds, strict=True)]
