@@ -16,6 +16,7 @@ LIBRARIES = {  # with what is compiled for a level of the instruction set, and w
     Path("jaxscp/conic/native/interior_point"): (("handler",), ("gpu_handler",)),
     Path("jaxscp/normal/native/normal"): (("handler",), ()),
     Path("jaxscp/riccati/native/riccati"): (("handler",), ()),
+    Path("jaxscp/semidefinite/native/semidefinite"): (("handler",), ()),
     Path("jaxscp/sweeps/native/sweep"): (("handler",), ()),
 }
 X86 = {

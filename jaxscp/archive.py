@@ -22,6 +22,7 @@ from jaxscp.caching import without_cache
 from jaxscp.conic import native as conic
 from jaxscp.normal import native as normal
 from jaxscp.riccati import native as riccati
+from jaxscp.semidefinite import native as semidefinite
 from jaxscp.structure import describe
 from jaxscp.sweeps import native as sweeps
 
@@ -31,6 +32,7 @@ COMPILED = {
     **dict.fromkeys(conic.TARGETS, conic.runs_here),
     **dict.fromkeys(normal.TARGETS, normal.available),
     **dict.fromkeys(riccati.TARGETS, riccati.available),
+    **dict.fromkeys(semidefinite.TARGETS, semidefinite.available),
     sweeps.TARGET: sweeps.available,
 }
 """What programs may call that was compiled at installation; whether it is here, which makes it known to XLA."""
@@ -129,7 +131,7 @@ def machine() -> dict[str, str]:
         "runtime": device.client.platform_version,
         "host": platform.machine(),
         "instructions": hashlib.sha256(_instructions().encode()).hexdigest(),
-        "compiled": f"{conic.level()} {normal.level()} {riccati.level()} {sweeps.level()}",
+        "compiled": " ".join(str(each.level()) for each in (conic, normal, riccati, semidefinite, sweeps)),
     }
 
 

@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from jaxscp.semidefinite import nearest
 from jaxscp.types import Scalar
 
 FLOORS = (
@@ -45,7 +46,7 @@ class Convex(eqx.Module):
 
 def projected(hessian: Float[Array, "intervals inputs inputs"]) -> Convex:
     """The nearest convex blocks: negative eigenvalues become zero."""
-    convex, least = jax.vmap(lambda h: _clip(h, 0.0))(hessian)
+    convex, least = nearest(hessian)
     return Convex(convex, jnp.zeros(hessian.shape[:2], hessian.dtype), least < 0.0)
 
 

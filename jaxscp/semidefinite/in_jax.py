@@ -1,0 +1,14 @@
+"""By the eigenvalues that LAPACK, or what stands for it on other devices, finds."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+
+def nearest(
+    matrices: Float[Array, "count size size"],
+) -> tuple[Float[Array, "count size size"], Float[Array, "count"]]:
+    """What is nearest to each, and the lowest eigenvalue that it had."""
+    values, vectors = jnp.linalg.eigh(matrices, symmetrize_input=True)
+    raised = vectors * jnp.maximum(values, 0.0)[:, None, :]
+    return raised @ jax.lax.transpose(vectors, (0, 2, 1)), values[:, 0]

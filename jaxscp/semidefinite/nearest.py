@@ -1,0 +1,20 @@
+"""The projection, on a CPU in float64 by C++ if that was compiled, and else as JAX.
+
+LAPACK takes one small matrix after another, and most of its time for what it does around the arithmetic; C++ takes
+eight at once, one in each place of a register.
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxscp.libraries import choose
+from jaxscp.semidefinite import in_jax, native
+
+
+def nearest(
+    matrices: Float[Array, "count size size"],
+) -> tuple[Float[Array, "count size size"], Float[Array, "count"]]:
+    """What is nearest to each symmetric matrix among those without negative eigenvalues, and the lowest eigenvalue that
+    it had. All is NaN of a matrix with entries that are not finite, and of that alone."""
+    cpu = native.nearest if matrices.dtype == jnp.float64 and native.available() else None
+    return choose(cpu, in_jax.nearest, matrices)
