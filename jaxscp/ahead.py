@@ -136,7 +136,7 @@ def with_programs(plan: Plan, setup: Callable[..., Leaves], solve: Callable[...,
 
 def without_obstacles(scenario: LandingScenario) -> LandingScenario:
     """The scenario without what no solver reads, so that it is no part of what is compiled for."""
-    return eqx.tree_at(lambda s: s.obstacles, scenario, None, is_leaf=lambda leaf: leaf is None)
+    return scenario if scenario.obstacles is None else dataclasses.replace(scenario, obstacles=None)
 
 
 def _program(function: Callable[..., Any], shapes: tuple) -> tuple[Program, Any]:

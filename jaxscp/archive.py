@@ -20,6 +20,7 @@ from jax.experimental import serialize_executable
 from jaxscp.ahead import Plan, Program
 from jaxscp.caching import without_cache
 from jaxscp.conic import native as conic
+from jaxscp.conic.native import scales
 from jaxscp.normal import native as normal
 from jaxscp.riccati import native as riccati
 from jaxscp.semidefinite import native as semidefinite
@@ -30,6 +31,7 @@ FORMAT = 4
 PROGRAMS = ("setup", "solve")
 COMPILED = {
     **dict.fromkeys(conic.TARGETS, conic.runs_here),
+    scales.TARGET: scales.available,
     **dict.fromkeys(normal.TARGETS, normal.available),
     **dict.fromkeys(riccati.TARGETS, riccati.available),
     **dict.fromkeys(semidefinite.TARGETS, semidefinite.available),

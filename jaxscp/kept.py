@@ -29,8 +29,11 @@ CONFIGURATION = ("jax_enable_x64", "jax_default_matmul_precision", "jax_debug_na
 def kept(planner: Planner, scenario: LandingScenario) -> CompiledPlanner | None:
     """The planner compiled for scenarios like this one, from the folder or for it; None where none is in use, and for
     what cannot be kept."""
-    folder, bare = caching.folder(), without_obstacles(scenario)
-    if folder is None or inside(bare):
+    folder = caching.folder()
+    if folder is None:
+        return None
+    bare = without_obstacles(scenario)
+    if inside(bare):
         return None
     leaves, tree = jax.tree.flatten(bare)
     return _kept(folder, planner, tree, tuple(jax.ShapeDtypeStruct(v.shape, v.dtype) for v in leaves))

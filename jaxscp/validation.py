@@ -165,9 +165,9 @@ def _vehicle_rules(s: LandingScenario, xp):
         (smallest > 0) & (asymmetry <= 1e-9 * xp.max(xp.abs(body.inertia))),
         "airframe.body.inertia: must be symmetric and positive definite; units are kg m^2.",
     )
+    excess = xp.max(frame.thrust_min - frame.thrust_max, initial=-np.inf)
     yield Rule(
-        xp.all(frame.thrust_min <= frame.thrust_max),
-        f"airframe.thrust_min: {frame.thrust_min} exceeds airframe.thrust_max {frame.thrust_max} N for some rotor.",
+        excess <= 0.0, f"airframe.thrust_min: exceeds airframe.thrust_max by {excess} N for some rotor."
     )
     # Necessary, and for upright rotors sufficient: the greatest thrust along the body's z axis carries the weight.
     along = body.thrust_map[2]

@@ -8,7 +8,7 @@ import pytest
 
 from jaxscp import libraries, status_names
 from jaxscp.conic import native
-from jaxscp.conic.equilibrate import equilibrate
+from jaxscp.conic.equilibrate import _scales, _scales_in_cpp, equilibrate
 from jaxscp.conic.examples import random_program
 from jaxscp.conic.interior_point import InteriorPoint
 
@@ -20,6 +20,7 @@ ROUNDING = (
     1e-9  # relative; a few steps amplify rounding that much, as the systems are solved to 1e-11 at worst
 )
 SAME_POINT = 1e-4  # optima of these programs are flat: both loops stop at a gap of 1e-8
+SAME_SUMS = 1e-13  # relative, of products of three numbers
 STEPS = 4
 
 
@@ -153,3 +154,32 @@ def test_another_device_runs_jax(batched, monkeypatch):
     for platform in ("cpu", "cuda"):
         text = traced.lower(lowering_platforms=(platform,)).as_text()
         assert (native.TARGET in text) == (platform == "cpu")
+
+
+@pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
+def test_scales_are_those_of_jax(shape):
+    program = random_program(2, **shape)
+    program = eqx.tree_at(
+        lambda p: (p.hessian, p.rows.matrix, p.links.soft),
+        program,
+        (
+            1e3 * program.hessian.at[:, :, 0].set(0.0).at[:, 0].set(0.0),
+            program.rows.matrix.at[0, 0].set(0.0),  # an empty row keeps its scale
+            program.links.soft.at[0].set(0.0),
+        ),
+    )
+    expected = jax.jit(lambda p: _scales(p, 3))(program)
+    found = jax.jit(lambda p: _scales_in_cpp(p, 3))(program)
+    assert_same(expected, found, SAME_SUMS)
+    without = eqx.tree_at(lambda p: p.norm, program, None, is_leaf=lambda v: v is None)
+    assert_same(_scales(without, 1), _scales_in_cpp(without, 1), SAME_SUMS)
+
+
+def test_scales_of_a_batch_are_those_of_its_lanes():
+    lanes = [random_program(seed) for seed in range(5)]
+    programs = jax.tree.map(lambda *v: jnp.stack(v), *lanes)
+    spoilt = eqx.tree_at(lambda p: p.hessian, programs, programs.hessian.at[2].set(jnp.nan))
+    found = jax.jit(jax.vmap(lambda p: _scales_in_cpp(p, 3)))(spoilt)
+    for i in (0, 1, 3, 4):
+        for a, b in zip(jax.tree.leaves(_scales_in_cpp(lanes[i], 3)), jax.tree.leaves(found), strict=True):
+            np.testing.assert_array_equal(b[i], a)

@@ -4,12 +4,16 @@ A second-order cone admits one scale for all its rows, and so do the soft rows o
 control is measured by one Euclidean norm. Hard rows and half-spaces are scaled one by one.
 """
 
+import functools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxscp.conic.native import scales as native_scales
 from jaxscp.conic.program import Cones, Links, Multipliers, NormCost, Rows, StagedProgram
+from jaxscp.libraries import choose
 from jaxscp.types import Scalar
 
 _LOWEST, _HIGHEST = 1e-4, 1e4  # limits on each scale, as in OSQP and Clarabel
@@ -37,7 +41,23 @@ class Scales(eqx.Module):
 
 
 def equilibrate(program: StagedProgram, rounds: int = 3) -> tuple[StagedProgram, Scales]:
-    """Scale a program; ``Scales.restore`` takes its solution back."""
+    """Scale a program; ``Scales.restore`` takes its solution back, which does not depend on the scales: they have no
+    derivative."""
+    in_cpp = program.gradient.dtype == jnp.float64 and native_scales.available()
+    scales = choose(
+        functools.partial(_scales_in_cpp, rounds=rounds) if in_cpp else None,
+        functools.partial(_scales, rounds=rounds),
+        jax.lax.stop_gradient(program),
+    )
+    return scaled_by(program, scales), scales
+
+
+def _scales_in_cpp(program: StagedProgram, rounds: int) -> Scales:
+    columns, links, rows, *cones, cost = native_scales.scales(program, rounds)
+    return Scales(columns, links, rows, tuple(cones), cost)
+
+
+def _scales(program: StagedProgram, rounds: int) -> Scales:
     scales = Scales(
         jnp.ones_like(program.gradient),
         jnp.ones_like(program.links.offset),
@@ -46,8 +66,7 @@ def equilibrate(program: StagedProgram, rounds: int = 3) -> tuple[StagedProgram,
         jnp.ones((), program.gradient.dtype),
     )
     # a loop, since the compiler would do a round again wherever the next one reads of it
-    scales = jax.lax.fori_loop(0, rounds, lambda _, s: _refine(scaled_by(program, s), s), scales)
-    return scaled_by(program, scales), scales
+    return jax.lax.fori_loop(0, rounds, lambda _, s: _refine(scaled_by(program, s), s), scales)
 
 
 def _refine(scaled: StagedProgram, scales: Scales) -> Scales:

@@ -12,6 +12,7 @@ which they build on each other:
     program.h cones.h newton_system.h interior_point.h   the method, the same text on both
     batch.h buffers.h          lanes of a batch, as XLA passes them
     handler.cc                 what XLA calls on a CPU: a thread a lane, or for a single lane all that are free
+    scales.h scales_handler.cc the scales of a program, on a CPU; ``scales.py`` calls it
     kernel.cu gpu_handler.cc   the kernel, and what XLA calls to launch it; ``gpu.py`` compiles it
 
 The libraries are compiled when the package is installed, if there is a C++ compiler. Without them, on other devices,
