@@ -5,7 +5,6 @@ functions of leaves, so that neither a call nor a file has to know the pytrees b
 """
 
 import dataclasses
-import functools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -139,14 +138,18 @@ def without_obstacles(scenario: LandingScenario) -> LandingScenario:
 
 
 def _program(function: Callable[..., Any], shapes: tuple) -> tuple[Program, Any]:
-    """A function as a program of leaves, and the shapes of what it returns."""
+    """A function as a program of leaves, and the shapes of what it returns. It is traced here, and only once."""
     leaves, tree = jax.tree.flatten(shapes)
-    on_leaves = jax.jit(functools.partial(_on_leaves, function, tree))
-    return Program(on_leaves, leaves), jax.eval_shape(function, *shapes)
+    returned = []
 
+    def on_leaves(*leaves: Any) -> list:
+        found, structure = jax.tree.flatten(function(*jax.tree.unflatten(tree, leaves)))
+        returned.append(structure)
+        return found
 
-def _on_leaves(function: Callable[..., Any], tree: Any, *leaves: Any) -> list:
-    return jax.tree.leaves(function(*jax.tree.unflatten(tree, leaves)))
+    jitted = jax.jit(on_leaves)
+    traced = jitted.trace(*leaves)
+    return Program(jitted, leaves), jax.tree.unflatten(returned[0], traced.out_info)
 
 
 def _one_lane(scenarios: LandingScenario, lanes: int) -> LandingScenario:
