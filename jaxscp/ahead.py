@@ -1,11 +1,12 @@
 """Planners compiled before their first call: for one shape of scenario, in this process or from a file.
 
-A planner is two programs (``planner``): what depends on the scenario's own shape, and the large rest. Here both are
-functions of leaves, so that neither a call nor a file has to know the pytrees between them.
+A planner is three programs (``planner``), each of which takes what the one before returns. Here they are functions of
+leaves, so that neither a call nor a file has to know the pytrees between them.
 """
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import jax
@@ -27,10 +28,6 @@ class Program(NamedTuple):
     shapes: Leaves
     """Of the leaves it takes: ``jax.ShapeDtypeStruct``."""
 
-    def compiled(self) -> jax.stages.Compiled:
-        """For this machine; takes and returns leaves."""
-        return self.function.lower(*self.shapes).compile(compiler_options=options())
-
 
 class Plan(NamedTuple):
     """All that is to be compiled, or stored."""
@@ -43,6 +40,23 @@ class Plan(NamedTuple):
     """A ``Solution`` of ``jax.ShapeDtypeStruct``, with a leading axis for the lanes."""
     setup: Program
     solve: Program
+    conclude: Program
+
+    @property
+    def programs(self) -> dict[str, Program]:
+        """By their names, in the order in which they are called."""
+        return {"setup": self.setup, "solve": self.solve, "conclude": self.conclude}
+
+
+def side_by_side(programs: dict[str, Program]) -> dict[str, jax.stages.Compiled]:
+    """The programs compiled for this machine; they take and return leaves."""
+    with ThreadPoolExecutor() as threads:
+        begun = {}
+        # the largest first: to lower one is Python's, and goes on while others are compiled
+        for name in sorted(programs, key=lambda name: name != "solve"):
+            lowered = programs[name].function.lower(*programs[name].shapes)
+            begun[name] = threads.submit(lowered.compile, compiler_options=options())
+        return {name: begun[name].result() for name in programs}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,6 +75,7 @@ class CompiledPlanner:
     """Tree of a ``Solution``."""
     setup: Callable[..., Leaves] = dataclasses.field(repr=False)
     solve: Callable[..., Leaves] = dataclasses.field(repr=False)
+    conclude: Callable[..., Leaves] = dataclasses.field(repr=False)
 
     def __call__(self, scenario: LandingScenario) -> Any:
         """The ``Solution`` of a scenario, or of ``lanes`` of them, stacked.
@@ -76,7 +91,12 @@ class CompiledPlanner:
     def run(self, scenario: LandingScenario) -> Any:
         """The same for what has been checked."""
         leaves = jax.tree.leaves(without_obstacles(scenario))
-        return jax.tree.unflatten(self.solution, self.solve(*self.setup(*leaves)))
+        return self.go_on(self.setup(*leaves))
+
+    def go_on(self, begun: Any) -> Any:
+        """The rest, with what ``setup`` returns, or what is like it."""
+        leaves = self.conclude(*self.solve(*jax.tree.leaves(begun)))
+        return jax.tree.unflatten(self.solution, leaves)
 
     def _check(self, scenario: LandingScenario) -> None:
         if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(scenario)):
@@ -95,41 +115,37 @@ class CompiledPlanner:
 
 
 def plan_ahead(
-    setup: Callable[..., Any],
-    solve: Callable[..., Any],
-    scenario: LandingScenario,
-    nodes: int,
-    lanes: int | None,
+    parts: Sequence[Callable[..., Any]], scenario: LandingScenario, nodes: int, lanes: int | None
 ) -> Plan:
-    """Trace both programs of a planner for scenarios like this one.
+    """Trace the programs of a planner for scenarios like this one.
 
     Args:
-        setup: from a scenario to the arguments of ``solve``.
-        solve: to a ``Solution``.
+        parts: the first takes a scenario, each of the others what the one before returns, and the last returns a
+            ``Solution``.
         scenario: one; only its shapes and dtypes matter.
         nodes: N of the planner.
         lanes: how many scenarios at once; None for one without a leading axis.
     """
-    if lanes is not None:
-        setup, solve = jax.vmap(setup), jax.vmap(solve)
     check_types(scenario, nodes)
     bare = without_obstacles(scenario)
     axis = () if lanes is None else (lanes,)
-    shapes = jax.tree.map(lambda v: jax.ShapeDtypeStruct(axis + v.shape, v.dtype), bare)
-    first, between = _program(setup, (shapes,))
-    second, solution = _program(solve, between)
-    return Plan(nodes, lanes, describe(bare), solution, first, second)
+    shapes: Any = (jax.tree.map(lambda v: jax.ShapeDtypeStruct(axis + v.shape, v.dtype), bare),)
+    programs = []
+    for part in parts:
+        program, shapes = _program(part if lanes is None else jax.vmap(part), shapes)
+        programs.append(program)
+    return Plan(nodes, lanes, describe(bare), shapes, *programs)
 
 
 def compiled(plan: Plan) -> CompiledPlanner:
-    """Compile both programs, for this machine."""
-    return with_programs(plan, plan.setup.compiled(), plan.solve.compiled())
+    """Compile the programs, for this machine."""
+    return with_programs(plan, side_by_side(plan.programs))
 
 
-def with_programs(plan: Plan, setup: Callable[..., Leaves], solve: Callable[..., Leaves]) -> CompiledPlanner:
+def with_programs(plan: Plan, programs: dict[str, Callable[..., Leaves]]) -> CompiledPlanner:
     """The planner whose programs these are."""
     tree = jax.tree.structure(plan.solution)
-    return CompiledPlanner(plan.nodes, plan.lanes, plan.scenario, tree, setup, solve)
+    return CompiledPlanner(plan.nodes, plan.lanes, plan.scenario, tree, **programs)
 
 
 def without_obstacles(scenario: LandingScenario) -> LandingScenario:

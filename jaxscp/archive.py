@@ -1,4 +1,4 @@
-"""A planner in a file: what it is for, both programs in portable form, and both as compiled for one machine.
+"""A planner in a file: what it is for, its programs in portable form, and as compiled for one machine.
 
 The file is a ZIP archive: ``header.json``, ``*.stablehlo`` (serialised by ``jax.export``) and ``*.executable``
 (serialised by ``jax.experimental.serialize_executable``, which pickles).
@@ -17,7 +17,7 @@ import jax
 import jaxlib
 from jax.experimental import serialize_executable
 
-from jaxscp.ahead import Plan, Program
+from jaxscp.ahead import Plan, Program, side_by_side
 from jaxscp.caching import without_cache
 from jaxscp.conic import native as conic
 from jaxscp.conic.native import scales
@@ -27,8 +27,8 @@ from jaxscp.semidefinite import native as semidefinite
 from jaxscp.structure import describe
 from jaxscp.sweeps import native as sweeps
 
-FORMAT = 4
-PROGRAMS = ("setup", "solve")
+FORMAT = 5
+PROGRAMS = ("setup", "solve", "conclude")
 COMPILED = {
     **dict.fromkeys(conic.TARGETS, conic.runs_here),
     scales.TARGET: scales.available,
@@ -53,9 +53,9 @@ class Archive(NamedTuple):
 
 
 def programs_of(plan: Plan) -> dict[str, jax.stages.Compiled]:
-    """Both programs, compiled so that they can be stored."""
+    """The programs, compiled so that they can be stored."""
     with without_cache():
-        return {name: getattr(plan, name).compiled() for name in PROGRAMS}
+        return side_by_side(plan.programs)
 
 
 def write(
@@ -75,8 +75,12 @@ def write(
         "lanes": plan.lanes,
         "scenario": plan.scenario,
         "solution": describe(plan.solution),
-        "arguments": {name: len(getattr(plan, name).shapes) for name in PROGRAMS},
-        "results": {"setup": len(plan.solve.shapes), "solve": len(jax.tree.leaves(plan.solution))},
+        "arguments": {name: len(program.shapes) for name, program in plan.programs.items()},
+        "results": {
+            "setup": len(plan.solve.shapes),
+            "solve": len(plan.conclude.shapes),
+            "conclude": len(jax.tree.leaves(plan.solution)),
+        },
         "platform": jax.default_backend(),
         "machine": machine(),
         "compiled": [],
@@ -88,7 +92,7 @@ def write(
             for name in PROGRAMS:
                 if portable:
                     archive.writestr(
-                        f"{name}.stablehlo", _portable(getattr(plan, name)), zipfile.ZIP_DEFLATED
+                        f"{name}.stablehlo", _portable(plan.programs[name]), zipfile.ZIP_DEFLATED
                     )
                 executable, _, _ = serialize_executable.serialize(programs[name])
                 header["compiled"] += [target for target in COMPILED if target.encode() in executable]
@@ -146,7 +150,7 @@ def _instructions() -> str:
 
 
 def executables(archive: Archive) -> dict[str, Callable]:
-    """Both programs as they were compiled; no compiler runs."""
+    """The programs as they were compiled; no compiler runs."""
     _find_lapack()
     device = jax.devices()[0]
     return {
@@ -167,13 +171,11 @@ def _find_lapack() -> None:
 
 
 def compiled_anew(archive: Archive) -> dict[str, Callable]:
-    """Both programs, compiled from the portable form for this machine."""
+    """The programs, compiled from the portable form for this machine."""
     from jax import export  # slow to import
 
     forms = {name: export.deserialize(bytearray(archive.portable[name])) for name in PROGRAMS}
-    return {
-        name: Program(
-            jax.jit(form.call), [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in form.in_avals]
-        ).compiled()
-        for name, form in forms.items()
-    }
+    like = lambda v: jax.ShapeDtypeStruct(v.shape, v.dtype)  # noqa: E731
+    return side_by_side(
+        {name: Program(jax.jit(form.call), [*map(like, form.in_avals)]) for name, form in forms.items()}
+    )

@@ -17,7 +17,7 @@ def use_cache(folder: str | os.PathLike | None) -> None:
 
     A planner is kept whole: a later process, with the same jaxscp and jax on the same kind of machine, neither traces
     nor compiles it for scenarios of the same shape. That holds for plain calls of planners made of jaxscp's own parts.
-    For all else, ``vmap``, derivatives, re-plans, your own methods, JAX's own cache is switched on, which changes its
+    For all else, ``vmap``, derivatives, your own methods, JAX's own cache is switched on, which changes its
     configuration for the whole process; what it keeps must still be traced. What was compiled before the call is not
     kept.
 

@@ -1,4 +1,5 @@
-"""Planners that were compiled before, in the folder of ``use_cache``: found there by what they are made of."""
+"""Planners that were compiled before: in this process, or in the folder of ``use_cache``, where they are found by what
+they are made of."""
 
 from __future__ import annotations
 
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import jax
 
 from jaxscp import archive, caching
-from jaxscp.ahead import CompiledPlanner, with_programs, without_obstacles
+from jaxscp.ahead import CompiledPlanner, compiled, with_programs, without_obstacles
 from jaxscp.compiler import inside, options
 from jaxscp.mission import LandingScenario
 from jaxscp.structure import Description, describe
@@ -23,33 +24,52 @@ if TYPE_CHECKING:
 
 PACKAGE = __name__.partition(".")[0]
 CODE = (".py", ".so")
+MOST = 16  # compiled planners of a process, the last ones called: each holds a thousand memory mappings
 CONFIGURATION = ("jax_enable_x64", "jax_default_matmul_precision", "jax_debug_nans", "jax_disable_jit")
 
 
-def kept(planner: Planner, scenario: LandingScenario) -> CompiledPlanner | None:
-    """The planner compiled for scenarios like this one, from the folder or for it; None where none is in use, and for
-    what cannot be kept."""
-    folder = caching.folder()
-    if folder is None:
-        return None
+def kept(planner: Planner, scenario: LandingScenario, *more: Any) -> CompiledPlanner | None:
+    """The planner compiled for scenarios like this one, its programs side by side: from the folder in use, or for it,
+    or for this process alone. None where a call is part of another program, or not one for JAX's default device.
+
+    Args:
+        planner: to compile.
+        scenario: of the call.
+        more: arrays that the call is about, besides.
+    """
     bare = without_obstacles(scenario)
-    if inside(bare):
+    if not _plain((bare, more)):
         return None
     leaves, tree = jax.tree.flatten(bare)
-    return _kept(folder, planner, tree, tuple(jax.ShapeDtypeStruct(v.shape, v.dtype) for v in leaves))
+    shapes = tuple(jax.ShapeDtypeStruct(v.shape, v.dtype) for v in leaves)
+    return _kept(caching.folder(), planner, tree, shapes, tuple(_settings().values()))
 
 
-@functools.cache
-def _kept(folder: pathlib.Path, planner: Planner, tree: Any, shapes: tuple) -> CompiledPlanner | None:
+def _plain(arrays: Any) -> bool:
+    if inside(arrays) or jax.config.jax_default_device or jax.config.jax_disable_jit:  # pyright: ignore[reportAttributeAccessIssue]
+        return False
+    here = {jax.devices()[0]}
+    return all(leaf.devices() == here for leaf in jax.tree.leaves(arrays) if isinstance(leaf, jax.Array))
+
+
+@functools.lru_cache(maxsize=MOST)
+def _kept(
+    folder: pathlib.Path | None, planner: Planner, tree: Any, shapes: tuple, settings: tuple
+) -> CompiledPlanner:
     like = jax.tree.unflatten(tree, shapes)
+    file = folder and _file(folder, planner, like)
+    if file is None:
+        return compiled(planner.plan_ahead(like))
+    return _found(file) or _made(file, planner, like)
+
+
+def _file(folder: pathlib.Path, planner: Planner, like: LandingScenario) -> pathlib.Path | None:
+    """None for what cannot be kept."""
     try:
         parts = [describe(planner), describe(like)]
     except TypeError:
         return None
-    if not _ours(parts):
-        return None
-    file = folder / f"planner-{_digest(parts)}.jaxscp"
-    return _found(file) or _made(file, planner, like)
+    return folder / f"planner-{_digest(parts)}.jaxscp" if _ours(parts) else None
 
 
 def _ours(part: Description) -> bool:
@@ -61,10 +81,13 @@ def _ours(part: Description) -> bool:
 
 def _digest(parts: list[Description]) -> str:
     """Of all that decides what a planner does."""
-    settings = {name: str(getattr(jax.config, name)) for name in CONFIGURATION}
-    surroundings = [archive.machine(), settings, options(), os.environ.get("XLA_FLAGS", ""), _code()]
+    surroundings = [archive.machine(), _settings(), options(), os.environ.get("XLA_FLAGS", ""), _code()]
     text = json.dumps([*parts, *surroundings], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+
+def _settings() -> dict[str, str]:
+    return {name: str(getattr(jax.config, name)) for name in CONFIGURATION}
 
 
 @functools.cache
@@ -97,4 +120,4 @@ def _made(file: pathlib.Path, planner: Planner, like: LandingScenario) -> Compil
         archive.write(file, plan, programs, portable=False)
     except Exception as error:  # a disk that is full, a solver on the host: the plan itself is none the worse
         warnings.warn(f"jaxscp: the planner cannot be kept: {error}", stacklevel=2)
-    return with_programs(plan, **programs)
+    return with_programs(plan, programs)

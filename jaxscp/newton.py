@@ -47,7 +47,7 @@ from jaxscp.lifted import check as check_liftable
 from jaxscp.line_search import Merit, Step, search
 from jaxscp.problem import OptimalControlProblem, node_times, typical_sizes
 from jaxscp.reflown import reflown_gradient
-from jaxscp.scp import Answer, History
+from jaxscp.scp import Answer, End, History
 from jaxscp.sensitivity import follow
 from jaxscp.stationarity import lagrangian_gradient, stationarity
 from jaxscp.status import Status, StatusCode, usable
@@ -151,10 +151,11 @@ class NewtonSCP(eqx.Module):
         cost = jnp.sum(evaluate(problem, point.z, self.grid).cost) + terminal_cost(problem, point.z)
         return Answer(point.z, cost, point.y, state.reached, state.newton_steps)
 
-    def optimality(self, problem: OptimalControlProblem, state: NewtonState) -> Scalar:
+    def optimality(self, problem: OptimalControlProblem, end: End) -> Scalar:
         """How far the end is from a point of Karush, Kuhn and Tucker, by the judge's own flight."""
-        gradient = reflown_gradient(problem, state.z, state.multipliers, self.grid)
-        return stationarity(gradient, state.z, state.cost)
+        assert end.multipliers is not None  # for type checkers
+        gradient = reflown_gradient(problem, end.z, end.multipliers, self.grid)
+        return stationarity(gradient, end.z, end.cost)
 
     def init(self, problem: OptimalControlProblem, z: Float[Array, "nodes variables"]) -> NewtonState:
         """State before the first subproblem, from an initial guess."""

@@ -3,7 +3,6 @@
 import functools
 import os
 import pathlib
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -22,7 +21,7 @@ from jaxscp.landing import landing_problem
 from jaxscp.mission import LandingScenario
 from jaxscp.newton import NewtonSCP
 from jaxscp.problem import OptimalControlProblem, node_times
-from jaxscp.scp import SCP, Answer, History, solve
+from jaxscp.scp import SCP, Answer, End, History, solve
 from jaxscp.status import Status, StatusCode
 from jaxscp.trajectory import Trajectory
 from jaxscp.types import Count, Flag, Scalar
@@ -90,17 +89,16 @@ class Planner(eqx.Module):
         self._check(scenario)
         if (compiled := kept(self, scenario)) is not None:
             return compiled.run(scenario)
-        return _solve(self, *_setup(self, ahead.without_obstacles(scenario)))
+        return _conclude(self, *_solve(self, *_setup(self, ahead.without_obstacles(scenario))))
 
     def replan(self, solution: Solution, scenario: LandingScenario) -> Solution:
         """Plan a changed scenario, starting from the solution of a like one."""
         self._check(scenario)
-        return _solve(
-            self,
-            *_setup_again(self, ahead.without_obstacles(scenario), solution.allocation),
-            solution.z,
-            solution.allocation,
-        )
+        again = _setup_again(self, ahead.without_obstacles(scenario), solution.allocation)
+        begun = (*again, solution.z, solution.allocation)
+        if (compiled := kept(self, scenario, begun)) is not None:
+            return compiled.go_on(begun)
+        return _conclude(self, *_solve(self, *begun))
 
     def compile(self, scenario: LandingScenario, lanes: int | None = None) -> ahead.CompiledPlanner:
         """Compile now for scenarios like this one; what is returned traces and compiles nothing more.
@@ -124,7 +122,7 @@ class Planner(eqx.Module):
     def export(self, file: str | os.PathLike, scenario: LandingScenario, lanes: int | None = None) -> None:
         """Compile as ``compile`` does, and write what comes of it to a file, for ``jaxscp.load``.
 
-        The file holds both programs twice: in portable form, for any machine of this platform, and compiled.
+        The file holds the planner's programs twice: in portable form, for any machine of this platform, and compiled.
 
         Args:
             file: to write; ``planner.jaxscp``, say.
@@ -144,8 +142,8 @@ class Planner(eqx.Module):
     def plan_ahead(self, scenario: LandingScenario, lanes: int | None = None) -> ahead.Plan:
         """What is to be compiled for scenarios like this one."""
         # Not as parts of another program, so that XLA makes the same of them as where they are called.
-        first, second = (functools.partial(program.function, self) for program in (_setup, _solve))
-        return ahead.plan_ahead(first, second, scenario, self.nodes, lanes)
+        parts = [functools.partial(part.function, self) for part in (_setup, _solve, _conclude)]
+        return ahead.plan_ahead(parts, scenario, self.nodes, lanes)
 
     def _check(self, scenario: LandingScenario) -> None:
         if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(scenario)):
@@ -163,36 +161,34 @@ class Planner(eqx.Module):
     def conclude(
         self,
         problem: OptimalControlProblem,
-        state: Any,
+        end: End,
         answer: Answer,
         allocation: Int[Array, "intervals"],
     ) -> Solution:
-        """Certify what the iterations ended with, the method's own state."""
+        """Certify what the iterations ended with."""
         trajectory = trajectory_of(problem, answer.z)
         frozen, flown = jax.lax.stop_gradient((problem, trajectory))
         certificate = lanes.in_tiles(
-            lambda fixed: self._certify(*fixed), (frozen, state, flown), CERTIFIED_AT_ONCE
+            lambda fixed: self._certify(*fixed), (frozen, end, flown), CERTIFIED_AT_ONCE
         )
-        refuted = (state.status == Status.converged) & ~acceptable(
-            certificate, self.method.holds_between_nodes
-        )
+        refuted = (end.status == Status.converged) & ~acceptable(certificate, self.method.holds_between_nodes)
         return Solution(
-            status=Status.where(refuted, Status.refuted, state.status),
+            status=Status.where(refuted, Status.refuted, end.status),
             trajectory=trajectory,
             cost=answer.cost,
             final_time=trajectory.time[-1],
-            iterations=state.iterations,
+            iterations=end.iterations,
             newton_steps=answer.newton_steps,
             differentiable=answer.reached,
             multipliers=answer.multipliers,
             certificate=certificate,
-            history=state.history,
+            history=end.history,
             z=answer.z,
             allocation=allocation,
         )
 
-    def _certify(self, problem: OptimalControlProblem, state: Any, flown: Trajectory) -> Certificate:
-        return certify(problem, flown, self.samples, self.method.optimality(problem, state))
+    def _certify(self, problem: OptimalControlProblem, end: End, flown: Trajectory) -> Certificate:
+        return certify(problem, flown, self.samples, self.method.optimality(problem, end))
 
 
 def trajectory_of(problem: OptimalControlProblem, z: Float[Array, "nodes variables"]) -> Trajectory:
@@ -201,8 +197,9 @@ def trajectory_of(problem: OptimalControlProblem, z: Float[Array, "nodes variabl
     return Trajectory(node_times(dilation), state, control, dilation)
 
 
-# Two compiled parts: what depends on the scenario's own shape (polytopes, say) is small, and all flights of as many
-# nodes and faces share the other, which is large.
+# Three compiled parts. What depends on the scenario's own shape (polytopes, say) is small, and all flights of as many
+# nodes and faces share the others, which are large: what solves, and what judges, which can be compiled side by side.
+# Each returns what the next one takes.
 
 
 @functools.partial(quickly, static_argnums=0)
@@ -216,9 +213,15 @@ def _setup_again(planner: Planner, scenario: LandingScenario, allocation):
 
 
 @functools.partial(quickly, static_argnums=0)
-def _solve(planner: Planner, ok: Flag, problem: OptimalControlProblem, z, allocation) -> Solution:
-    solution = planner.conclude(problem, *solve(planner.method, problem, z, ok), allocation)
-    return _blank_unless(ok, solution)
+def _solve(planner: Planner, ok: Flag, problem: OptimalControlProblem, z, allocation):
+    return _strongly_typed((ok, problem, *solve(planner.method, problem, z, ok), allocation))
+
+
+@functools.partial(quickly, static_argnums=0)
+def _conclude(
+    planner: Planner, ok: Flag, problem: OptimalControlProblem, end: End, answer: Answer, allocation
+) -> Solution:
+    return _blank_unless(ok, planner.conclude(problem, end, answer, allocation))
 
 
 def _strongly_typed(values):

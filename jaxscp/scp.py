@@ -57,16 +57,29 @@ class Answer(eqx.Module):
     """Of the interior point that ended there."""
 
 
+class End(eqx.Module):
+    """What is judged of a method's last state."""
+
+    z: Float[Array, "nodes variables"]
+    multipliers: FlightMultipliers | None
+    cost: Scalar
+    iterations: Count
+    status: StatusCode
+    history: History
+
+
 def solve(
     method: Any,
     problem: OptimalControlProblem,
     z: Float[Array, "nodes variables"],
     wanted: Flag | bool = True,
-) -> tuple[Any, Answer]:
-    """The method's last state, and its answer as a function of the problem: gradients go round the iterations."""
+) -> tuple[End, Answer]:
+    """The method's end, and its answer as a function of the problem: gradients go round the iterations."""
     frozen, z = jax.lax.stop_gradient((problem, z))
     state = method.run(frozen, z, wanted)
-    return state, method.answer(problem, state)
+    multipliers = getattr(state, "multipliers", None)
+    end = End(state.z, multipliers, state.cost, state.iterations, state.status, state.history)
+    return end, method.answer(problem, state)
 
 
 class SCPState(eqx.Module):
@@ -120,7 +133,7 @@ class SCP(eqx.Module):
         z, cost = without_derivative(state.z, problem), without_derivative(state.cost, problem)
         return Answer(z, cost, None, jnp.zeros((), bool), jnp.zeros((), int))
 
-    def optimality(self, problem: OptimalControlProblem, state: SCPState) -> None:
+    def optimality(self, problem: OptimalControlProblem, end: End) -> None:
         """Nothing: where the trust region is priced by an unsquared norm, a stop says nothing of optimality."""
 
     def init(self, problem: OptimalControlProblem, z: Float[Array, "nodes variables"]) -> SCPState:

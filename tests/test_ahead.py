@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import jaxscp
-from jaxscp import scenarios
+from jaxscp import caching, scenarios
 from jaxscp.conic import OSQP
 from jaxscp.conic.interior_point import InteriorPoint
 from jaxscp.kept import kept
@@ -264,7 +264,23 @@ def test_a_folder_that_cannot_be_made_is_not_in_use(scenario, tmp_path):
     (tmp_path / "taken").write_text("")
     with pytest.raises(FileExistsError):
         jaxscp.use_cache(tmp_path / "taken")
-    assert kept(PLANNER, scenario) is None
+    assert caching.folder() is None
+
+
+def test_calls_that_are_not_for_the_default_device_compile_as_jax_does(scenario):
+    with jax.default_device(jax.devices()[0]):  # which others may follow in place of the default
+        assert kept(PLANNER, scenario) is None
+    with jax.disable_jit():
+        assert kept(PLANNER, scenario) is None
+
+
+def test_replans_share_what_plans_have_compiled(scenario, monkeypatch):
+    planned = PLANNER(scenario)
+    again = PLANNER.replan(planned, scenario)
+    for name in ("_solve", "_conclude"):
+        monkeypatch.setattr(f"jaxscp.planner.{name}", None)
+    assert_same(PLANNER.replan(planned, scenario), again)
+    assert_same(PLANNER(scenario), planned)
 
 
 @pytest.mark.slow
@@ -275,13 +291,12 @@ def test_what_a_name_does_not_tell_is_not_kept(scenario, tmp_path):
     method = Mine(max_iterations=1)
     jaxscp.use_cache(tmp_path)
     try:
-        assert kept(jaxscp.Planner(nodes=10, method=method), scenario) is None
+        assert kept(jaxscp.Planner(nodes=10, method=method), scenario) is not None
         own_solver = jaxscp.SCP(max_iterations=1, conic=lambda p, a: InteriorPoint()(p, a))
-        assert kept(jaxscp.Planner(nodes=10, method=own_solver), scenario) is None
+        assert kept(jaxscp.Planner(nodes=10, method=own_solver), scenario) is not None
         jax.jit(lambda: kept(PLANNER, scenario) is None or 1 / 0)()
     finally:
         jaxscp.use_cache(None)
-    assert kept(PLANNER, scenario) is None
     assert not kept_planners(tmp_path)
 
 
