@@ -45,6 +45,7 @@ def run(echo: Callable[[str], None], nodes: int, lanes: int, total: int) -> dict
     chunked = by_chunks(compiled, lanes, total, echo) if total > lanes else None
     rows = {size: at_once(planner, size, echo)[0] for size in sizes_up_to(lanes)[:-1]}
     best = chunked or main
+    on_host = host_seconds(planner, echo) if device.platform != "cpu" else None
     return {
         "device": device.device_kind,
         "lanes": lanes,
@@ -53,6 +54,7 @@ def run(echo: Callable[[str], None], nodes: int, lanes: int, total: int) -> dict
         "conic_newton_steps_per_s": main["conic_newton_steps_per_s"],
         "converged_share": best["converged_share"],
         "batch_of_one_ms": 1e3 * rows[1]["seconds"] if 1 in rows else None,
+        "one_on_host_ms": 1e3 * on_host if on_host else None,
         "bytes_per_instance": main["bytes_per_instance"],
         "by_size": rows | {lanes: main},
         "chunked": chunked,
@@ -73,6 +75,17 @@ def at_once(planner: Planner, size: int, echo: Callable[[str], None]) -> tuple[d
     row |= {"compile_seconds": compile_seconds, "bytes_per_instance": memory(compiled) / size}
     echo(_line(f"{size} at once", row))
     return row, compiled
+
+
+def host_seconds(planner: Planner, echo: Callable[[str], None]) -> float:
+    """One plan on the host's CPU, as a user of a machine with a GPU would ask for one."""
+    with jax.default_device(jax.devices("cpu")[0]):
+        one = jax.tree.map(lambda v: v[0], instances(jax.random.key(1), 1))
+        plan = jax.jit(planner)
+        jax.block_until_ready(plan(one))
+        seconds = min(elapsed(lambda: plan(one)) for _ in range(10 * REPEATS))
+    echo(f"one on the host's CPU: {1e3 * seconds:.1f} ms")
+    return seconds
 
 
 def by_chunks(compiled: Any, lanes: int, total: int, echo: Callable[[str], None]) -> dict[str, Any]:
