@@ -1,4 +1,4 @@
-"""How XLA compiles planners: as quickly as it can."""
+"""How XLA compiles planners: for a CPU as quickly as it can, for a GPU so that it launches what it can by itself."""
 
 import functools
 from collections.abc import Callable
@@ -8,21 +8,28 @@ import jax
 import jax.numpy as jnp
 from jax.core import Tracer
 
-QUICKLY = {"xla_cpu_use_fusion_emitters": False}
+QUICKLY: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False}
 """A planner is many small operations, and to emit them fused takes two fifths of the time to compile it for a CPU,
 without a plan being any faster. From jax 0.12 on there is no such choice."""
 
+AS_GRAPHS: dict[str, Any] = {
+    "xla_gpu_enable_command_buffer": (
+        "FUSION,CUBLAS,CUBLASLT,CUSTOM_CALL,CUDNN,DYNAMIC_SLICE_FUSION,WHILE,CONDITIONAL"
+    ),
+    "xla_gpu_graph_min_graph_size": 1,
+}
+"""Loops become graphs of a GPU, too, which launches them itself: of a plan alone most of the time goes into launches."""
+
 
 @functools.cache
-def options() -> dict[str, bool]:
+def options() -> dict[str, Any]:
     """``compiler_options`` for what JAX compiles; those alone that this version knows."""
-    if jax.default_backend() != "cpu":
-        return {}
+    wanted = {"cpu": QUICKLY, "gpu": AS_GRAPHS}.get(jax.default_backend(), {})
     try:
-        jax.jit(lambda v: v, compiler_options=QUICKLY).lower(jax.ShapeDtypeStruct((), float)).compile()
+        jax.jit(lambda v: v, compiler_options=wanted).lower(jax.ShapeDtypeStruct((), float)).compile()
     except Exception:  # XLA's own types, which differ by version
         return {}
-    return QUICKLY
+    return wanted
 
 
 class quickly:
