@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 from jax.core import Tracer
 
@@ -150,7 +151,9 @@ def with_programs(plan: Plan, programs: dict[str, Callable[..., Leaves]]) -> Com
 
 def without_obstacles(scenario: LandingScenario) -> LandingScenario:
     """The scenario without what no solver reads, so that it is no part of what is compiled for."""
-    return scenario if scenario.obstacles is None else dataclasses.replace(scenario, obstacles=None)
+    if scenario.obstacles is None:
+        return scenario
+    return eqx.tree_at(lambda s: s.obstacles, scenario, None)  # whatever its leaves are: shapes, say
 
 
 def _program(function: Callable[..., Any], shapes: tuple) -> tuple[Program, Any]:

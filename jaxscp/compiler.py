@@ -18,7 +18,7 @@ AS_GRAPHS: dict[str, Any] = {
     ),
     "xla_gpu_graph_min_graph_size": 1,
 }
-"""Loops become graphs of a GPU, too, which launches them itself: of a plan alone most of the time goes into launches."""
+"""Loops too become graphs of a GPU, which launches them itself: of one plan, most of the time goes into launches."""
 
 
 @functools.cache

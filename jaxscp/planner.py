@@ -87,16 +87,17 @@ class Planner(eqx.Module):
                 compilation; inside them the lane's status is ``invalid_input``).
         """
         self._check(scenario)
-        if (compiled := kept(self, scenario)) is not None:
-            return compiled.run(scenario)
-        return _conclude(self, *_solve(self, *_setup(self, ahead.without_obstacles(scenario))))
+        bare = ahead.without_obstacles(scenario)
+        if (compiled := kept(self, bare)) is not None:
+            return compiled.run(bare)
+        return _conclude(self, *_solve(self, *_setup(self, bare)))
 
     def replan(self, solution: Solution, scenario: LandingScenario) -> Solution:
         """Plan a changed scenario, starting from the solution of a like one."""
         self._check(scenario)
-        again = _setup_again(self, ahead.without_obstacles(scenario), solution.allocation)
-        begun = (*again, solution.z, solution.allocation)
-        if (compiled := kept(self, scenario, begun)) is not None:
+        bare = ahead.without_obstacles(scenario)
+        begun = (*_setup_again(self, bare, solution.allocation), solution.z, solution.allocation)
+        if (compiled := kept(self, bare, begun)) is not None:
             return compiled.go_on(begun)
         return _conclude(self, *_solve(self, *begun))
 
