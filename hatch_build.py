@@ -23,7 +23,7 @@ X86 = {
     "v4": ("-march=x86-64-v4", "-mprefer-vector-width=512"),
     "v3": ("-march=x86-64-v3",),
 }  # AVX-512; AVX2 and FMA
-ELSEWHERE = {"any": ()}
+ANYWHERE = {"any": ()}
 FLAGS = ("-std=c++20", "-O3", "-fno-math-errno", "-fPIC", "-Wno-psabi")
 
 
@@ -38,7 +38,7 @@ class NativeBuild(BuildHookInterface):
         if compiler is None:
             self.app.display_warning("no C++ compiler: all will run as compiled by XLA, slower")
             return
-        levels = X86 if platform.machine().lower() in ("x86_64", "amd64") else ELSEWHERE
+        levels = ANYWHERE | (X86 if platform.machine().lower() in ("x86_64", "amd64") else {})
         wanted = [(stem, *level) for stem in LIBRARIES for level in levels.items()]
         try:
             with ThreadPoolExecutor() as pool:

@@ -3,6 +3,7 @@
 import pathlib
 
 import jax
+import pytest
 from jaxtyping import install_import_hook
 
 jax.config.update("jax_enable_x64", True)
@@ -12,6 +13,29 @@ install_import_hook("jaxscp", "beartype.beartype")
 MOST_MAPPINGS = 20_000
 """Of a process. Compiled programs hold thousands each, and where Linux allows no more (65 530 as a rule) the compiler
 dies."""
+
+
+from jaxscp import libraries  # noqa: E402, with its annotations checked
+
+
+@pytest.fixture(params=libraries.LEVELS)
+def at_level(request, monkeypatch):
+    """One after another of what is compiled: has a module call its library of that level.
+
+    Takes the module, whose STEM it is, and the names of its targets there.
+    """
+
+    def use(module, *names, stem=None):
+        library = libraries.library(stem or module.STEM, request.param)
+        if library is None:
+            pytest.skip(f"{request.param} is not built for this kind of machine, or it lacks the instructions")
+        for name in names:
+            handler = getattr(module, name)
+            assert libraries.register(library, handler, target=f"{handler}_{request.param}")
+            monkeypatch.setattr(module, name, f"{handler}_{request.param}")
+        monkeypatch.setattr(module, "available", lambda: True)
+
+    return use
 
 
 def pytest_runtest_teardown(item, nextitem):

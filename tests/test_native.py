@@ -6,11 +6,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxscp import libraries, status_names
+from jaxscp import status_names
 from jaxscp.conic import native
 from jaxscp.conic.equilibrate import _scales, _scales_in_cpp, equilibrate
 from jaxscp.conic.examples import random_program
 from jaxscp.conic.interior_point import InteriorPoint
+from jaxscp.conic.native import scales as native_scales
 
 pytestmark = pytest.mark.skipif(
     not native.available(), reason="the interior point was not compiled: no C++ compiler at installation"
@@ -95,16 +96,10 @@ def test_no_more_accuracy_than_is_enough():
         assert error[1] < error[2] < 1e-1
 
 
-@pytest.mark.parametrize("level", libraries.LEVELS)
-def test_every_level_that_runs_here_gives_the_same(level, monkeypatch):
-    library = libraries.library(native.STEM, level)
-    if library is None:
-        pytest.skip(f"{level} is not built for this kind of machine, or it lacks the instructions")
+def test_every_level_that_runs_here_gives_the_same(at_level):
     program = random_program(2, nodes=17)
     expected = iterate(InteriorPoint(max_iterations=STEPS), program)
-    assert libraries.register(library, native.TARGET, target=f"jaxscp_test_{level}")
-    monkeypatch.setattr(native, "TARGET", f"jaxscp_test_{level}")
-    monkeypatch.setattr(native, "available", lambda: True)
+    at_level(native, "TARGET")
     assert_same(expected.iterate, iterate(InteriorPoint(max_iterations=STEPS), program).iterate, ROUNDING)
 
 
@@ -142,6 +137,24 @@ def test_float32_and_refusal_run_as_jax():
     assert not native.serves(small)
 
 
+def test_a_program_of_several_kinds_of_numbers_is_scaled_too():
+    program = random_program(0)
+    matrix = lambda p: p.rows.matrix  # noqa: E731
+    mixed = eqx.tree_at(matrix, program, matrix(program).astype(jnp.float32))
+    same = eqx.tree_at(matrix, program, matrix(mixed).astype(jnp.float64))
+    assert not native.serves(mixed)
+    with jax.numpy_dtype_promotion("standard"):
+        _, expected = jax.jit(equilibrate)(same)
+        _, found = jax.jit(equilibrate)(mixed)
+    assert_same(expected, found, 1e-6)  # some of it is computed in float32
+
+
+def test_scales_refuse_numbers_that_they_cannot_read():
+    small = jax.tree.map(lambda v: v.astype(jnp.float32), random_program(0))
+    with pytest.raises(Exception, match="not of float64"):
+        jax.block_until_ready(_scales_in_cpp(small, 1))
+
+
 @pytest.mark.parametrize("batched", [False, True], ids=["one", "batch"])
 def test_another_device_runs_jax(batched, monkeypatch):
     """Where JAX's default device is another, one program serves both: each takes its own loop."""
@@ -173,6 +186,13 @@ def test_scales_are_those_of_jax(shape):
     assert_same(expected, found, SAME_SUMS)
     without = eqx.tree_at(lambda p: p.norm, program, None, is_leaf=lambda v: v is None)
     assert_same(_scales(without, 1), _scales_in_cpp(without, 1), SAME_SUMS)
+
+
+def test_every_level_gives_the_same_scales(at_level):
+    program = random_program(2, nodes=9, variables=13)
+    expected = _scales(program, 3)
+    at_level(native_scales, "TARGET")
+    assert_same(expected, _scales_in_cpp(program, 3), SAME_SUMS)
 
 
 def test_scales_of_a_batch_are_those_of_its_lanes():

@@ -68,6 +68,14 @@ def test_sums_are_those_of_the_dense_matrices(way, seed, shapes, places, inputs,
 
 
 @compiled
+@pytest.mark.parametrize("inputs", [1, 2, 7, 8, 23])
+def test_every_level_that_runs_here_gives_the_same(inputs, at_level):
+    parts = random_parts(0, [(6, 6, False), (6, 3, True), (1, 8, False)], 3, inputs, 3)
+    at_level(native, "TARGET")
+    assert_same(native.normal(parts), dense(parts))
+
+
+@compiled
 def test_many_places_and_lanes_are_shared_among_threads_without_a_change():
     parts = random_parts(0, [(6, 6, False), (6, 3, True), (1, 8, False)], 200, 23, 3)
     whole = jax.jit(normal)(parts)

@@ -101,6 +101,17 @@ def test_compiled_steps_are_those_in_jax(shape):
 
 
 @compiled
+@pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
+def test_every_level_that_runs_here_gives_the_same(shape, at_level):
+    chain = random_chain(3, True, **shape)
+    right = random_side(chain, 4)
+    factor = in_jax.factor(chain)
+    at_level(native, "FACTOR", "SOLVE")
+    assert_same(factor, native.factor(chain), ROUNDING)
+    assert_same(in_jax.solve(factor, right, 2), native.solve(factor, right, 2), ROUNDING)
+
+
+@compiled
 def test_lanes_of_a_batch_are_those_alone():
     chains = [random_chain(seed, seed % 2 == 0) for seed in range(5)]
     saddle = dataclasses.replace(chains[1], hessian=chains[1].hessian.at[2, -1, -1].add(-1e3))

@@ -57,6 +57,14 @@ def test_matrices_that_are_hard_to_take_apart():
 
 
 @compiled
+@pytest.mark.parametrize("size", [1, 2, 9, 23])
+def test_every_level_that_runs_here_gives_the_same(size, at_level):
+    matrices = np.random.default_rng(3).standard_normal((11, size, size))
+    at_level(native, "TARGET")
+    assert_nearest(jnp.asarray(matrices + np.swapaxes(matrices, 1, 2)))
+
+
+@compiled
 def test_what_is_no_number_spoils_nothing_else():
     matrices = np.random.default_rng(1).standard_normal((11, 7, 7))
     matrices = jnp.asarray(matrices + np.swapaxes(matrices, 1, 2))

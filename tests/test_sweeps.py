@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxscp import libraries, runge_kutta, sweeps
+from jaxscp import runge_kutta, sweeps
 from jaxscp.airframes import paper_mav
 from jaxscp.discretise import interval_inputs
 from jaxscp.dynamics import DoubleIntegrator
@@ -206,17 +206,10 @@ def test_on_other_devices_what_is_asked_of_the_ends_alone_is_not_forgotten(monke
 
 
 @needs_compiled
-@pytest.mark.parametrize("level", libraries.LEVELS)
-def test_every_level_that_runs_here_gives_the_same(level, monkeypatch):
-    library = libraries.library(native.STEM, level)
-    if library is None:
-        pytest.skip(f"{level} is not built for this kind of machine, or it lacks the instructions")
+def test_every_level_that_runs_here_gives_the_same(at_level):
     arguments = case(*RATES["every operation"], runge_kutta.CLASSICAL)
     expected = jax.jit(sweeps.curved)(*arguments)
-    target = f"jaxscp_test_sweep_{level}"
-    assert libraries.register(library, native.TARGET, target=target)
-    monkeypatch.setattr(native, "TARGET", target)
-    monkeypatch.setattr(native, "available", lambda: True)
+    at_level(native, "TARGET")
     jax.clear_caches()
     assert_same(expected, jax.jit(lambda *a: sweeps.curved(*a))(*arguments))
 

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from jaxscp.conic.native import scales as native_scales
 from jaxscp.conic.program import Cones, Links, Multipliers, NormCost, Rows, StagedProgram
-from jaxscp.libraries import choose
+from jaxscp.libraries import choose, in_float64
 from jaxscp.types import Scalar
 
 _LOWEST, _HIGHEST = 1e-4, 1e4  # limits on each scale, as in OSQP and Clarabel
@@ -43,7 +43,7 @@ class Scales(eqx.Module):
 def equilibrate(program: StagedProgram, rounds: int = 3) -> tuple[StagedProgram, Scales]:
     """Scale a program; ``Scales.restore`` takes its solution back, which does not depend on the scales: they have no
     derivative."""
-    in_cpp = program.gradient.dtype == jnp.float64 and native_scales.available()
+    in_cpp = in_float64(program) and native_scales.available()
     scales = choose(
         functools.partial(_scales_in_cpp, rounds=rounds) if in_cpp else None,
         functools.partial(_scales, rounds=rounds),

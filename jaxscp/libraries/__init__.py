@@ -2,7 +2,7 @@
 
 What they share is here too:
 
-    pack.h         a number for eight places or intervals at once
+    pack.h         a number for several places or intervals at once
     dense.h        products of small matrices, their rows in registers
     memory.h       arrays that serve again
     runs_here.cc   whether this machine has the instructions of a library
@@ -17,8 +17,14 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 
-LEVELS = ("v4", "v3", "any")  # best first: two of x86-64, and what the machine that compiled had
+LEVELS = ("v4", "v3", "any")  # best first: two of x86-64, and what all machines of a kind have
+
+
+def in_float64(tree: Any) -> bool:
+    """Whether every array is of the only numbers that C++ takes; of others it would read nonsense."""
+    return all(leaf.dtype == jnp.float64 for leaf in jax.tree.leaves(tree))
 
 
 def choose(cpu: Callable[..., Any] | None, elsewhere: Callable[..., Any], *args: Any) -> Any:

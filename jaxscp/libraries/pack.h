@@ -1,27 +1,29 @@
-// Places of the chain at once: a Pack is a number of the mathematics, held for eight places in one register.
+// Places of the chain at once: a Pack is a number of the mathematics, held for several places in one register.
 //
 // Every formula of the interior point is the same at every place. Written for a Pack in place of a number, it reads as
-// for one place, and compiles to vector instructions, whatever width the machine has. On a GPU, whose threads are the
-// places (``threads.h``), a Pack is a number.
+// for one place, and compiles to vector instructions. A Pack is as wide as the machine's registers: of what is wider,
+// compilers take comparisons and permutations apart into single numbers. On a GPU, whose threads are the places
+// (``threads.h``), a Pack is a number.
 #pragma once
 
 #if !defined(__CUDACC__)
 #include <cmath>
-#endif
-
-#if !defined(JAXSCP_WIDTH)
-#if defined(__CUDACC__)
-#define JAXSCP_WIDTH 1
-#else
-#define JAXSCP_WIDTH 8
-#endif
+#include <utility>
 #endif
 
 namespace jaxscp {
 
-constexpr int kWidth = JAXSCP_WIDTH;
+#if defined(__CUDACC__)
+constexpr int kWidth = 1;
+#elif defined(__AVX512F__)
+constexpr int kWidth = 8;
+#elif defined(__AVX__)
+constexpr int kWidth = 4;
+#else
+constexpr int kWidth = 2;
+#endif
 
-#if JAXSCP_WIDTH == 1
+#if defined(__CUDACC__)
 
 typedef double Pack;
 typedef bool Mask;
@@ -39,7 +41,7 @@ inline Pack one_after(Pack, Pack after) { return after; }
 typedef double Pack __attribute__((vector_size(kWidth * sizeof(double))));
 typedef long long Mask __attribute__((vector_size(kWidth * sizeof(long long))));  // of all ones where it holds
 
-inline Pack all(double v) { return Pack{v, v, v, v, v, v, v, v}; }
+inline Pack all(double v) { return v - Pack{}; }
 inline Pack root(Pack v) {
   Pack r;
   for (int lane = 0; lane < kWidth; ++lane) r[lane] = std::sqrt(v[lane]);
@@ -48,25 +50,40 @@ inline Pack root(Pack v) {
 inline double get(const Pack& v, int lane) { return v[lane]; }
 inline void set(Pack& v, int lane, double to) { v[lane] = to; }
 
+// function(0, 1, .. kWidth - 1), all of them constants.
+template <typename Function>
+inline auto with_lanes(Function function) {
+  return [&]<int... kLane>(std::integer_sequence<int, kLane...>) {
+    return function(std::integral_constant<int, kLane>()...);
+  }(std::make_integer_sequence<int, kWidth>());
+}
+
 // Which places of a pack are among the first ``count`` of the chain.
-inline Mask within(int pack, int count) { return Mask{0, 1, 2, 3, 4, 5, 6, 7} < count - pack * kWidth; }
+inline Mask within(int pack, int count) {
+  return with_lanes([](auto... lane) { return Mask{lane...}; }) < count - pack * kWidth;
+}
 
 // The places one before and one after: of a neighbouring pack at the edge.
 inline Pack one_before(Pack before, Pack here) {
-  return __builtin_shufflevector(before, here, 7, 8, 9, 10, 11, 12, 13, 14);
+  return with_lanes([&](auto... lane) { return __builtin_shufflevector(before, here, (lane + kWidth - 1)...); });
 }
 inline Pack one_after(Pack here, Pack after) {
-  return __builtin_shufflevector(here, after, 1, 2, 3, 4, 5, 6, 7, 8);
+  return with_lanes([&](auto... lane) { return __builtin_shufflevector(here, after, (lane + 1)...); });
 }
 
 // Rows become columns: each round deals the rows of the lower half among those of the upper.
 inline void transpose(Pack (&v)[kWidth]) {
+  const auto deal = [](auto a, auto b, auto from) {
+    return with_lanes([&](auto... lane) {
+      return __builtin_shufflevector(a, b, (from + lane / 2 + lane % 2 * kWidth)...);
+    });
+  };
   for (int round = 1; round < kWidth; round *= 2) {
     Pack dealt[kWidth];
     for (int i = 0; i < kWidth / 2; ++i) {
       const Pack a = v[i], b = v[i + kWidth / 2];
-      dealt[2 * i] = __builtin_shufflevector(a, b, 0, 8, 1, 9, 2, 10, 3, 11);
-      dealt[2 * i + 1] = __builtin_shufflevector(a, b, 4, 12, 5, 13, 6, 14, 7, 15);
+      dealt[2 * i] = deal(a, b, std::integral_constant<int, 0>());
+      dealt[2 * i + 1] = deal(a, b, std::integral_constant<int, kWidth / 2>());
     }
     for (int i = 0; i < kWidth; ++i) v[i] = dealt[i];
   }

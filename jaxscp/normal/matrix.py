@@ -3,9 +3,7 @@
 XLA copies and transposes every Jacobian for products that are small; C++ reads each of them once for all.
 """
 
-import jax.numpy as jnp
-
-from jaxscp.libraries import choose
+from jaxscp.libraries import choose, in_float64
 from jaxscp.normal import in_jax, native
 from jaxscp.normal.rows import Normal, Rows
 
@@ -14,5 +12,5 @@ __all__ = ["Normal", "Rows", "normal"]
 
 def normal(parts: tuple[Rows, ...]) -> Normal:
     """Sums over all constraints, of which there must be one."""
-    cpu = native.normal if parts[0].jacobian.dtype == jnp.float64 and native.available() else None
+    cpu = native.normal if in_float64(parts) and native.available() else None
     return choose(cpu, in_jax.normal, parts)

@@ -6,9 +6,7 @@ between them.
 
 import functools
 
-import jax.numpy as jnp
-
-from jaxscp.libraries import choose
+from jaxscp.libraries import choose, in_float64
 from jaxscp.riccati import in_jax, native
 from jaxscp.riccati.system import Chain, Factor, Side
 
@@ -29,4 +27,4 @@ def solve(factor: Factor, right: Side, refinements: int = REFINEMENTS) -> Side:
 
 
 def _compiled(chain: Chain) -> bool:
-    return chain.flow.dtype == jnp.float64 and native.available()
+    return in_float64(chain) and native.available()

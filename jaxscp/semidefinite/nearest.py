@@ -4,10 +4,9 @@ LAPACK takes one small matrix after another, and most of its time for what it do
 eight at once, one in each place of a register.
 """
 
-import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxscp.libraries import choose
+from jaxscp.libraries import choose, in_float64
 from jaxscp.semidefinite import in_jax, native
 
 
@@ -16,5 +15,5 @@ def nearest(
 ) -> tuple[Float[Array, "count size size"], Float[Array, "count"]]:
     """What is nearest to each symmetric matrix among those without negative eigenvalues, and the lowest eigenvalue that
     it had. All is NaN of a matrix with entries that are not finite, and of that alone."""
-    cpu = native.nearest if matrices.dtype == jnp.float64 and native.available() else None
+    cpu = native.nearest if in_float64(matrices) and native.available() else None
     return choose(cpu, in_jax.nearest, matrices)

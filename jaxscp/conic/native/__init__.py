@@ -72,7 +72,7 @@ def serves_on_gpu(program: StagedProgram) -> bool:
 def _numbers_fit(program: StagedProgram) -> bool:
     cones = [c.offset.shape[1] for c in program.cones]
     few = len(cones) <= MAX_GROUPS and sum(cones) + 2 <= MAX_CONES
-    return program.gradient.dtype == jnp.float64 and few and program.links.soft.shape[1] > 0
+    return libraries.in_float64(program) and few and program.links.soft.shape[1] > 0
 
 
 def call(program: StagedProgram, cost: Scalar, tolerance: Scalar, **settings: float | int):

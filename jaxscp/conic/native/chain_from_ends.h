@@ -93,7 +93,7 @@ class Chain {
   Pack solution(int p, int i, int s) const { return solution_[(p * m_ + i) * kSides + s]; }
 
  private:
-  static constexpr int kColumns = 4;  // at once
+  static constexpr int kColumns = std::min(4, kWidth);  // at once, whose diagonal is in one pack
 
   // Columns of a block's panel: its own rows, then those of the block that is eliminated next.
   int column() const { return 2 * height_; }
@@ -254,7 +254,11 @@ class Chain {
     }
   }
 
-  static double total(const Pack& v) { return ((v[0] + v[4]) + (v[2] + v[6])) + ((v[1] + v[5]) + (v[3] + v[7])); }
+  static double total(Pack v) {
+    for (int half = kWidth / 2; half > 0; half /= 2)
+      for (int i = 0; i < half; ++i) v[i] += v[i + half];
+    return v[0];
+  }
 
   int m_, links_, middle_, height_, packs_;
   Packs panels_;             // of the matrix, and then L below its diagonal

@@ -2,10 +2,10 @@
 #pragma once
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
+#include <cstdint>
 #include <vector>
-
-#include "dense.h"
 
 namespace jaxscp {
 
@@ -48,6 +48,10 @@ class Ruiz {
   }
 
  private:
+  // Numbers that are not negative have the order of their bits: as integers a compiler finds the largest of many at
+  // once, which it may not of numbers, any of which might be NaN.
+  using Ordered = int64_t;
+
   static constexpr double kLowest = 1e-4, kHighest = 1e4, kEmpty = 1e-12;
 
   // Largest entries of the scaled program, by columns, rows and cones.
@@ -78,22 +82,15 @@ class Ruiz {
   // The largest entry of a row, with its scale and those of the node's columns, whose own it may exceed.
   double look(const double* row, int node, double scale) {
     const int n = p_.variables;
-    const double* column = s_.columns + node * n;
-    double* largest = columns_.data() + node * n;
-    Pack most = all(0.0);
-    int j = 0;
-    for (; j + kWidth <= n; j += kWidth) {
-      const Pack v = scale * magnitude(load(row + j)) * load(column + j);
-      most = larger(v, most);
-      store(larger(v, load(largest + j)), largest + j);
+    const double* __restrict column = s_.columns + node * n;
+    double* __restrict largest = columns_.data() + node * n;
+    Ordered found = 0;
+    for (int j = 0; j < n; ++j) {
+      const auto v = std::bit_cast<Ordered>(scale * std::fabs(row[j]) * column[j]);
+      found = std::max(found, v);
+      largest[j] = std::bit_cast<double>(std::max(v, std::bit_cast<Ordered>(largest[j])));
     }
-    double found = 0.0;
-    for (int lane = 0; lane < kWidth; ++lane) found = std::max(found, get(most, lane));
-    for (; j < n; ++j) {
-      const double v = scale * std::fabs(row[j]) * column[j];
-      found = std::max(found, v), largest[j] = std::max(largest[j], v);
-    }
-    return found;
+    return std::bit_cast<double>(found);
   }
 
   void refine() {

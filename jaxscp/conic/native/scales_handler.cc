@@ -13,6 +13,9 @@ class Arrays {
 
   void add(const ffi::AnyBuffer& v) { all_.push_back(v); }
   size_t size() const { return all_.size(); }
+  bool are_doubles() const {
+    return std::all_of(all_.begin(), all_.end(), [](const auto& v) { return v.element_type() == ffi::F64; });
+  }
   int axis(size_t which, size_t from_last) const {
     const auto shape = all_[which].dimensions();
     return static_cast<int>(shape[shape.size() - from_last]);
@@ -38,6 +41,7 @@ ffi::Error scales(ffi::ThreadPool pool, int64_t has_norm, int64_t rounds, ffi::R
   if (lanes == 0) return ffi::Error::Success();
   Arrays in(lanes), out(lanes);
   for (size_t i = 0; i < args.size(); ++i) in.add(*args.get<ffi::AnyBuffer>(i));
+  if (!in.are_doubles()) return ffi::Error::InvalidArgument("the program is not of float64");
   for (size_t i = 0; i < rets.size(); ++i) out.add(**rets.get<ffi::AnyBuffer>(i));
   spread(pool, lanes, [&](int64_t lane) {
     ProgramArrays p{.nodes = in.axis(1, 2), .variables = in.axis(1, 1), .link_rows = in.axis(4, 1),
