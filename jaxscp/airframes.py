@@ -1,10 +1,10 @@
 """Vehicles as data: a rigid body and the limits of its rotors, with the source of every number."""
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxscp.arrays import floats, namespace
 from jaxscp.dynamics import RigidBody
 from jaxscp.types import Scalar
 
@@ -25,14 +25,14 @@ class Airframe(eqx.Module):
 
 def multirotor(
     *,
-    mass: float,
+    mass: Scalar | float,
     inertia,
-    arm: float,
-    torque_ratio: float,
-    thrust_min: float,
-    thrust_max: float,
+    arm: Scalar | float,
+    torque_ratio: Scalar | float,
+    thrust_min: Scalar | float,
+    thrust_max: Scalar | float,
     rotors: int = 4,
-    tilt: float = 0.0,
+    tilt: Scalar | float = 0.0,
 ) -> Airframe:
     """Rotors on a circle, the first at 45 degrees (quadrotor) or half a spacing, spinning alternately.
 
@@ -56,26 +56,23 @@ def multirotor(
         >>> hexa.body.control_size
         6
     """
+    xp = namespace(mass, inertia, arm, torque_ratio, thrust_min, thrust_max, tilt)
     angle = (np.arange(rotors) + 0.5) * 2.0 * np.pi / rotors
     spin = np.where(np.arange(rotors) % 2 == 0, 1.0, -1.0)
     position = arm * np.stack([np.cos(angle), np.sin(angle), np.zeros(rotors)])
     sideways = np.stack([-np.sin(angle), np.cos(angle), np.zeros(rotors)])
-    axis = np.sin(spin * tilt) * sideways + np.cos(tilt) * np.array([[0.0], [0.0], [1.0]])
-    torque = np.cross(position, axis, axis=0) + torque_ratio * spin * axis
-    inertia = np.asarray(inertia, float)
+    axis = xp.sin(spin * tilt) * sideways + xp.cos(tilt) * np.array([[0.0], [0.0], [1.0]])
+    torque = xp.cross(position, axis, axis=0) + torque_ratio * spin * axis
+    inertia = xp.asarray(inertia, float)
     body = RigidBody(
-        mass=jnp.asarray(mass, float),
-        inertia=jnp.asarray(np.diag(inertia) if inertia.ndim == 1 else inertia),
-        thrust_map=jnp.asarray(axis),
-        torque_map=jnp.asarray(torque),
-        gravity=jnp.array([0.0, 0.0, -GRAVITY]),
+        mass=floats(mass),
+        inertia=floats(xp.diag(inertia) if inertia.ndim == 1 else inertia),
+        thrust_map=floats(axis),
+        torque_map=floats(torque),
+        gravity=floats([0.0, 0.0, -GRAVITY]),
     )
-    return Airframe(
-        body,
-        jnp.full(rotors, float(thrust_min)),
-        jnp.full(rotors, float(thrust_max)),
-        jnp.asarray(arm, float),
-    )
+    least, most = (floats(xp.full(rotors, limit)) for limit in (thrust_min, thrust_max))
+    return Airframe(body, least, most, floats(arm))
 
 
 def paper_mav() -> Airframe:

@@ -11,6 +11,7 @@ import pathlib
 import platform
 import zipfile
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import jax
@@ -151,17 +152,20 @@ def _instructions() -> str:
 
 def executables(archive: Archive) -> dict[str, Callable]:
     """The programs as they were compiled; no compiler runs."""
-    _find_lapack()
     device = jax.devices()[0]
-    return {
-        name: serialize_executable.deserialize_and_load(
+
+    def load(name: str) -> Callable:
+        return serialize_executable.deserialize_and_load(
             archive.executable[name],
             jax.tree.structure(((0,) * archive.header["arguments"][name], {})),
             jax.tree.structure([0] * archive.header["results"][name]),
             execution_devices=[device],
         )
-        for name in PROGRAMS
-    }
+
+    with ThreadPoolExecutor() as threads:
+        begun = {name: threads.submit(load, name) for name in PROGRAMS}
+        _find_lapack()
+        return {name: loading.result() for name, loading in begun.items()}
 
 
 def _find_lapack() -> None:

@@ -6,10 +6,12 @@ then cost nothing.
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxscp import rotations
 from jaxscp.airframes import Airframe
+from jaxscp.arrays import floats, namespace
 from jaxscp.corridor.polytopes import Corridor
 from jaxscp.types import Points, Quaternion, Scalar, Vector3
 
@@ -31,7 +33,7 @@ class BodyState(eqx.Module):
         return jnp.concatenate([self.position, self.velocity, self.attitude, self.body_rate])
 
 
-def at_rest(position, yaw: float = 0.0) -> BodyState:
+def at_rest(position, yaw: Scalar | float = 0.0) -> BodyState:
     """Level and at rest at a position in m, heading ``yaw`` radians.
 
     Example:
@@ -39,8 +41,8 @@ def at_rest(position, yaw: float = 0.0) -> BodyState:
         >>> jaxscp.at_rest([1.0, 2.0, 3.0]).vector().shape
         (13,)
     """
-    zero = jnp.zeros(3)
-    return BodyState(jnp.asarray(position, float), zero, rotations.from_yaw(yaw), zero)
+    zero = floats(np.zeros(3))
+    return BodyState(floats(position), zero, rotations.from_yaw(yaw), zero)
 
 
 class Components(eqx.Module):
@@ -65,7 +67,9 @@ def fixed(*, position=1.0, velocity=1.0, attitude=1.0, body_rate=1.0) -> Compone
         >>> jaxscp.fixed(attitude=[1, 1, 0]).attitude.tolist()  # any heading
         [1.0, 1.0, 0.0]
     """
-    three = [jnp.broadcast_to(jnp.asarray(v, float), (3,)) for v in (position, velocity, attitude, body_rate)]
+    values = (position, velocity, attitude, body_rate)
+    xp = namespace(values)
+    three = [jnp.asarray(xp.broadcast_to(xp.asarray(v, float), (3,))) for v in values]
     return Components(*three)
 
 
@@ -98,7 +102,7 @@ class FlightLimits(eqx.Module):
 def flight_limits(*, speed=None, tilt=None, body_rate=None, thrust_rate=None) -> FlightLimits:
     """``FlightLimits`` from plain numbers."""
     numbers = (speed, tilt, body_rate, thrust_rate)
-    return FlightLimits(*(None if v is None else jnp.asarray(v, float) for v in numbers))
+    return FlightLimits(*(None if v is None else floats(v) for v in numbers))
 
 
 class Ellipsoids(eqx.Module):
@@ -122,12 +126,15 @@ def ellipsoids(centres, semi_axes) -> Ellipsoids:
         >>> jaxscp.ellipsoids([[0.0, 0.0, 1.0]], 0.5).shapes[0].diagonal().tolist()
         [2.0, 2.0, 2.0]
     """
-    centres = jnp.atleast_2d(jnp.asarray(centres, float))
-    semi_axes = jnp.asarray(semi_axes, float)
+    xp = namespace(centres, semi_axes)
+    centres = xp.atleast_2d(xp.asarray(centres, float))
+    semi_axes = xp.asarray(semi_axes, float)
     if semi_axes.ndim < 2:
-        semi_axes = jnp.broadcast_to(semi_axes, centres.shape[:1])[:, None]
-    semi_axes = jnp.broadcast_to(semi_axes, centres.shape)
-    return Ellipsoids(centres, jnp.eye(3) / semi_axes[:, None, :])
+        semi_axes = xp.broadcast_to(semi_axes, centres.shape[:1])[:, None]
+    semi_axes = xp.broadcast_to(semi_axes, centres.shape)
+    with np.errstate(divide="ignore"):  # ``validate`` names what is wrong
+        shapes = np.eye(3) / semi_axes[:, None, :]
+    return Ellipsoids(jnp.asarray(centres), jnp.asarray(shapes))
 
 
 class LandingScenario(eqx.Module):

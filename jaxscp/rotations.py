@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxscp.arrays import namespace
 from jaxscp.types import Quaternion, Scalar, Vector3
 
 
@@ -74,6 +75,7 @@ def from_yaw(yaw: Scalar | float) -> Quaternion:
         >>> from_yaw(0.0).tolist()
         [1.0, 0.0, 0.0, 0.0]
     """
-    half = 0.5 * jnp.asarray(yaw, float)
-    zero = jnp.zeros_like(half)
-    return jnp.stack([jnp.cos(half), zero, zero, jnp.sin(half)])
+    xp = namespace(yaw)
+    half = 0.5 * xp.asarray(yaw, float)
+    zero = xp.zeros_like(half)
+    return jnp.asarray(xp.stack([xp.cos(half), zero, zero, xp.sin(half)]))

@@ -4,11 +4,10 @@ The paper gives neither its clouds nor its corridors; sizes here follow its text
 obstacles, and one up to a high platform).
 """
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxscp.airframes import paper_mav
+from jaxscp.arrays import floats
 from jaxscp.corridor.polytopes import Corridor, box, connect
 from jaxscp.mission import BodyState, LandingScenario, Weights, at_rest
 from jaxscp.types import Points
@@ -16,7 +15,6 @@ from jaxscp.types import Points
 _SPACING = 0.15  # m between obstacle points
 
 
-@jax.jit  # one small program, where each of its steps alone would be one
 def platform_to_platform() -> LandingScenario:
     """Case 1: from one platform to another 10 m away, through the gaps of two walls.
 
@@ -37,7 +35,6 @@ def platform_to_platform() -> LandingScenario:
     return _mission(at_rest([0.0, 0.5, 1.0]), at_rest([10.0, 0.0, 1.0]), corridor, walls + platforms)
 
 
-@jax.jit
 def ascent_to_platform() -> LandingScenario:
     """Case 2: out from under a mezzanine, up beside it, and down onto a platform 4.7 m high."""
     obstacles = [
@@ -80,23 +77,23 @@ def through(
         start=start,
         goal=goal,
         corridor=corridor,
-        cone_angle=jnp.asarray(np.pi / 4),
-        weights=Weights(control=jnp.asarray(1.0), time=jnp.asarray(0.0)),
-        dilation_min=jnp.asarray(0.5),
-        dilation_max=jnp.asarray(20.0),
+        cone_angle=floats(np.pi / 4),
+        weights=Weights(control=floats(1.0), time=floats(0.0)),
+        dilation_min=floats(0.5),
+        dilation_max=floats(20.0),
         obstacles=obstacles,
     )
 
 
 def _mission(start: BodyState, goal: BodyState, corridor: Corridor, obstacles) -> LandingScenario:
     surfaces = [_surface(*map(np.asarray, corners)) for corners in obstacles]
-    return through(corridor, start, goal, jnp.concatenate(surfaces))
+    return through(corridor, start, goal, floats(np.concatenate(surfaces)))
 
 
-def _surface(lower: np.ndarray, upper: np.ndarray) -> Points:
+def _surface(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     """Points on the six sides of a box, on a regular grid."""
     counts = np.maximum(np.ceil((upper - lower) / _SPACING).astype(int) + 1, 2)
     axes = [np.linspace(a, b, n) for a, b, n in zip(lower, upper, counts, strict=True)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     on_side = np.any((grid == lower) | (grid == upper), axis=1)
-    return jnp.asarray(grid[on_side])
+    return grid[on_side]

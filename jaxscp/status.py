@@ -3,6 +3,7 @@
 from typing import Any
 
 import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import Array, Bool
 
@@ -84,7 +85,9 @@ _NAMES = (
 
 def status_names(status: StatusCode):
     """Short names of a status, for tables and files: a string, or an array of strings for a batch."""
-    member_of = [np.asarray(status == getattr(Status, name)) for name in _NAMES]
+    # as NumPy's numbers: to compare statuses themselves, JAX would compile a program
+    number = lambda of: np.asarray(jax.tree.leaves(of)[0])  # noqa: E731
+    member_of = [number(status) == number(getattr(Status, name)) for name in _NAMES]
     names = np.select(member_of, _NAMES, default="unknown")
     return str(names) if names.ndim == 0 else names
 

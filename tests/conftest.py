@@ -28,7 +28,9 @@ def at_level(request, monkeypatch):
     def use(module, *names, stem=None):
         library = libraries.library(stem or module.STEM, request.param)
         if library is None:
-            pytest.skip(f"{request.param} is not built for this kind of machine, or it lacks the instructions")
+            pytest.skip(
+                f"{request.param} is not built for this kind of machine, or it lacks the instructions"
+            )
         for name in names:
             handler = getattr(module, name)
             assert libraries.register(library, handler, target=f"{handler}_{request.param}")

@@ -4,9 +4,11 @@ from collections.abc import Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
+from jaxscp.arrays import namespace
 from jaxscp.types import Normals, Offsets, Vector3
 
 
@@ -60,8 +62,9 @@ def box(lower: ArrayLike, upper: ArrayLike) -> Polytope:
         >>> jaxscp.corridor.box([0.0, 0.0, 0.0], [1.0, 2.0, 3.0]).offsets.tolist()
         [1.0, 2.0, 3.0, -0.0, -0.0, -0.0]
     """
-    lower, upper = jnp.asarray(lower, float), jnp.asarray(upper, float)
-    return Polytope(jnp.concatenate([jnp.eye(3), -jnp.eye(3)]), jnp.concatenate([upper, -lower]))
+    xp = namespace(lower, upper)
+    offsets = xp.concatenate([xp.asarray(upper, float), -xp.asarray(lower, float)])
+    return Polytope(jnp.asarray(np.concatenate([np.eye(3), -np.eye(3)])), jnp.asarray(offsets))
 
 
 def connect(polytopes: Sequence[Polytope], joints: ArrayLike) -> Corridor:
@@ -71,14 +74,11 @@ def connect(polytopes: Sequence[Polytope], joints: ArrayLike) -> Corridor:
         polytopes: K polytopes in flight order.
         joints: (K - 1, 3) points, each inside two consecutive polytopes, in metres.
     """
+    xp = namespace(polytopes, joints)
     faces = max(polytope.offsets.size for polytope in polytopes)
     pads = [faces - polytope.offsets.size for polytope in polytopes]
-    return Corridor(
-        normals=jnp.stack(
-            [jnp.pad(p.normals, ((0, n), (0, 0))) for p, n in zip(polytopes, pads, strict=True)]
-        ),
-        offsets=jnp.stack(
-            [jnp.pad(p.offsets, (0, n), constant_values=1.0) for p, n in zip(polytopes, pads, strict=True)]
-        ),
-        joints=jnp.asarray(joints, float).reshape(-1, 3),
-    )
+    padded = list(zip(polytopes, pads, strict=True))
+    normals = [xp.pad(p.normals, ((0, n), (0, 0))) for p, n in padded]
+    offsets = [xp.pad(p.offsets, (0, n), constant_values=1.0) for p, n in padded]
+    joints = xp.asarray(joints, float).reshape(-1, 3)
+    return Corridor(jnp.asarray(xp.stack(normals)), jnp.asarray(xp.stack(offsets)), jnp.asarray(joints))
