@@ -58,7 +58,7 @@ def assert_same(found, expected):
     seed=st.integers(0, 1000),
     shapes=st.lists(st.tuples(st.integers(1, 3), st.integers(1, 4), st.booleans()), min_size=1, max_size=3),
     places=st.integers(1, 4),
-    inputs=st.integers(1, 26),  # a register holds eight
+    inputs=st.integers(1, 26),  # a register holds eight at most
     sides=st.integers(0, 3),
 )
 @settings(max_examples=25, deadline=None)

@@ -3,8 +3,8 @@
     python -m benchmarks.speed [--json] [--check] [--only PART ...] [--gpu] [--nodes 30] [--repeats 7]
                                [--lanes 4096] [--total 65536]
 
-Parts: ``profile``, ``rivals`` (extra ``benchmarks``), ``scaling``, ``starts``, ``batches``. All but the last by
-default; ``--gpu`` is the last alone. ``--check`` compares the ratios with benchmarks/baseline.json and ends with 1
+Parts: ``profile``, ``rivals`` (extra ``benchmarks``), ``scaling``, ``starts``, ``levels``, ``batches``. All but the
+last by default; ``--gpu`` is the last alone. ``--check`` compares the ratios with benchmarks/baseline.json and ends with 1
 where one has become worse by more than a factor of 1.5.
 """
 
@@ -19,7 +19,7 @@ import jax
 
 jax.config.update("jax_enable_x64", True)
 
-PARTS = ("profile", "rivals", "scaling", "starts")
+PARTS = ("profile", "rivals", "scaling", "starts", "levels")
 BATCHES = "batches"
 
 
@@ -42,6 +42,10 @@ def measure(part: str, wanted: argparse.Namespace, echo: Callable[[str], None]) 
             from benchmarks.speed import starts
 
             return starts.run(echo, wanted.nodes)
+        case "levels":
+            from benchmarks.speed import levels
+
+            return levels.run(echo, wanted.nodes, wanted.repeats)
         case _:
             from benchmarks.speed import batches
 

@@ -1,4 +1,4 @@
-// Products of matrices of a few dozen rows. A row begins at a multiple of eight numbers and ends with zeros, so that all
+// Products of matrices of a few dozen rows. A row begins at a multiple of a pack and ends with zeros, so that all
 // of it goes through registers.
 #pragma once
 

@@ -1,7 +1,7 @@
 """The projection, on a CPU in float64 by C++ if that was compiled, and else as JAX.
 
 LAPACK takes one small matrix after another, and most of its time for what it does around the arithmetic; C++ takes
-eight at once, one in each place of a register.
+as many at once as a register has places.
 """
 
 from jaxtyping import Array, Float

@@ -1,7 +1,7 @@
 """The pass in C++, for float64 on a CPU: what is particular to a problem by tapes, the rest as written there.
 
 XLA runs the derivatives of an interval as thousands of small operations on arrays that are mostly zero. Here the zeros
-are known before, and sixteen intervals go through each operation in a register.
+are known before, and two registers of intervals go through each operation.
 """
 
 import math

@@ -5,7 +5,7 @@ XLA runs a Newton step as hundreds of operations on arrays of a few kilobytes, a
 Here a step is a few hundred thousand vector instructions on data that stay in the cache. The files, in the order in
 which they build on each other:
 
-    layout.h arena.h           what lies where, eight nodes of the chain in one register (``libraries/pack.h``)
+    layout.h arena.h           what lies where, several nodes of the chain in one register (``libraries/pack.h``)
     team.h threads.h           who does what: phases that the threads of a team, or of a GPU's block, share
     elimination.h, elimination_by_warp.h    one panel eliminated, on a CPU and on a GPU
     chain_from_ends.h, chain_by_halves.h    the chain of links factored, on a CPU and on a GPU

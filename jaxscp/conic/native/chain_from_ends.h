@@ -1,7 +1,7 @@
 // The Schur complement in the link multipliers, on a CPU: block tridiagonal, factored as L D L' from both ends to the
 // middle, block after block.
 //
-// A register holds eight numbers of a column of one block. With those of eight blocks, as everywhere else, only cyclic
+// A register holds numbers of a column of one block. With those of as many blocks, as everywhere else, only cyclic
 // reduction would fill it, at three times the arithmetic. Each end can have its thread.
 #pragma once
 
@@ -119,7 +119,7 @@ class Chain {
   static double* numbers(Pack* v) { return reinterpret_cast<double*>(v); }
   static const double* numbers(const Pack* v) { return reinterpret_cast<const double*>(v); }
 
-  // Eight rows of a column, for eight places each, to the links among them that are from ``begin`` to ``end``.
+  // A pack of rows of a column, for a pack of places each, to the links among them that are from ``begin`` to ``end``.
   template <typename Rows, typename To>
   void to_links(int p, int h, int begin, int end, Rows rows, To to) {
     const int first = std::max(begin, p * kWidth), last = std::min(end, (p + 1) * kWidth);
@@ -264,7 +264,7 @@ class Chain {
   Packs panels_;             // of the matrix, and then L below its diagonal
   Packs scaled_;             // L D, of the last two blocks from each end
   Packs inverse_;            // of D
-  Packs turned_;             // L on the diagonal by rows, eight by eight: to go up without sums across a register
+  Packs turned_;             // L on the diagonal by rows, a pack of them: to go up without sums across a register
   Packs vector_, solution_;  // by links, and by packs
 };
 

@@ -2,8 +2,8 @@
 
 In the order in which they build on each other (``libraries/pack.h`` has the registers):
 
-    eigen.h       eight symmetric matrices at once: their eigenvalues and vectors
-    handler.cc    what XLA calls: its threads share the eights
+    eigen.h       several symmetric matrices at once: their eigenvalues and vectors
+    handler.cc    what XLA calls: its threads share the packs
 """
 
 from pathlib import Path

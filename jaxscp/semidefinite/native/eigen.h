@@ -1,8 +1,7 @@
-// Eigenvalues and vectors of eight symmetric matrices at once, one in each place of a Pack: Householder's reduction to
-// tridiagonal form, and the QR iteration with Wilkinson's shift (Golub and Van Loan, "Matrix Computations", sections 8.3
-// and 5.1).
+// Eigenvalues and vectors of symmetric matrices, one in each place of a Pack: Householder's reduction to tridiagonal
+// form, and the QR iteration with Wilkinson's shift (Golub and Van Loan, "Matrix Computations", sections 8.3 and 5.1).
 //
-// All eight go through the same steps. Where a matrix has nothing to do in one of them, its rotation is the identity.
+// All of them go through the same steps. Where a matrix has nothing to do in one of them, its rotation is the identity.
 #pragma once
 
 #include <algorithm>

@@ -1,4 +1,4 @@
-// What XLA calls on a CPU: the nearest semidefinite matrices of a batch, eight at once; its threads share the eights.
+// What XLA calls on a CPU: the nearest semidefinite matrices of a batch, a pack at once; its threads share the packs.
 
 #include "eigen.h"
 #include "spread.h"
@@ -12,7 +12,7 @@ Memory& memory_of_thread() {
   return memory;
 }
 
-// Of matrices number ``first`` to ``end``, at most eight of ``size`` rows each.
+// Of matrices number ``first`` to ``end``, at most a pack of ``size`` rows each.
 void project(const double* from, int64_t first, int64_t end, int size, double* to, double* least) {
   const int64_t entries = static_cast<int64_t>(size) * size;
   const int lanes = static_cast<int>(end - first);

@@ -2,7 +2,7 @@
 
 In the order in which they build on each other:
 
-    tape.h         operations on numbers, for sixteen intervals at once
+    tape.h         operations on numbers, for two packs of intervals at once
     functions.h    a function and its derivatives, as tapes
     sweep.h        what a pass is told
     description.h  how it is told it

@@ -1,4 +1,4 @@
-// Functions and entries of their derivatives as tapes (``functions.py``), with the numbers of sixteen intervals.
+// Functions and entries of their derivatives as tapes (``functions.py``), with the numbers of two packs of intervals.
 #pragma once
 
 #include "memory.h"

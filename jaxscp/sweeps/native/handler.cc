@@ -1,4 +1,4 @@
-// What XLA calls on a CPU: sweeps the intervals of a batch of flights, sixteen at once, shared among its threads.
+// What XLA calls on a CPU: sweeps the intervals of a batch of flights, two packs at once, shared among its threads.
 
 #include <cstring>
 
@@ -16,12 +16,12 @@ struct Arrays {
   int64_t count, intervals;
 };
 
-// Rows of sixteen intervals, from the first of them on.
+// Rows of two packs of intervals, from the first of them on.
 class Lanes {
  public:
   Lanes(const Arrays& at, int64_t pack) : at_(at), begin_(pack * kLanes) {}
 
-  // Eight numbers of eight intervals at a time, which are rows in one place and columns in the other.
+  // A pack of numbers of as many intervals at a time, which are rows in one place and columns in the other.
   void read(const double* from, int width, Wide* to) const {
     int i = 0;
     for (; i + kWidth <= width; i += kWidth)

@@ -1,4 +1,4 @@
-// A tape: operations on numbers, each for sixteen intervals at once. ``tape.py`` records them, in runs of one kind.
+// A tape: operations on numbers, each for two packs of intervals. ``tape.py`` records them, in runs of one kind.
 #pragma once
 
 #include <algorithm>
@@ -8,7 +8,7 @@
 
 namespace jaxscp {
 
-// A number of the mathematics, for sixteen intervals: in two registers, as it takes longer to look up an operation than
+// A number of the mathematics, for two packs of intervals, as it takes longer to look up an operation than
 // to do it once.
 struct Wide {
   Pack low, high;
