@@ -23,6 +23,7 @@ from jaxscp.sensitivity import without_derivative
 from jaxscp.status import Status, StatusCode, usable
 from jaxscp.types import Count, Flag, Scalar
 
+KEPT = 0.99  # of virtual control, from a subproblem to the next, where it will not vanish
 COARSEST = 1e-4  # relative accuracy of the first subproblems
 
 
@@ -179,8 +180,7 @@ class SCP(eqx.Module):
             cost=cost(z),
             iterations=state.iterations + 1,
             status=Status.where(good, status, solution.status),
-            # A fixed point that still has virtual control will not lose it by going on.
-            done=~good | (small_step & closed) | (moved < 1e-3 * self.tolerance_step),
+            done=~good | (small_step & (closed | _stays(virtual, state))),
             history=jax.tree.map(lambda h, v: h.at[state.iterations].set(v), state.history, row),
         )
 
@@ -195,6 +195,12 @@ class SCP(eqx.Module):
         start = self.init(problem, z)
         start = eqx.tree_at(lambda s: s.done, start, ~jnp.asarray(wanted))
         return lanes.while_loop(lambda state: ~self.terminate(state), self.step, problem, start)
+
+
+def _stays(virtual: Scalar, state: SCPState) -> Flag:
+    """Whether virtual control was no larger before the last subproblem: near a fixed point it is not lost by going on."""
+    before = state.history.virtual[state.iterations - 1]
+    return (state.iterations > 0) & (virtual > KEPT * before)
 
 
 def sufficient_accuracy(state: SCPState) -> Scalar:

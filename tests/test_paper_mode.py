@@ -13,7 +13,7 @@ paper = pytest.importorskip("benchmarks.rivals.paper", reason="benchmarks/ is no
 
 from benchmarks.rivals.convert import as_arrays, as_method, as_problem  # noqa: E402
 from benchmarks.rivals.problem import three_box  # noqa: E402
-from jaxscp import Status, scenarios  # noqa: E402
+from jaxscp import SCP, Planner, Status, scenarios, status_names  # noqa: E402
 
 # Both stacks solve their subproblems to about 1e-8; what differs after several of them is how far apart two
 # near-optimal points of a flat optimum lie, measured at 1e-7 of the cost.
@@ -79,3 +79,16 @@ def test_arrays_survive_the_way_there(both, case):
     np.testing.assert_array_equal(z[:, :13], arrays.states)
     np.testing.assert_array_equal(z[:, 15:19], arrays.controls)
     np.testing.assert_allclose(z[:, 13:15], theirs.history[0].elapsed, rtol=1e-12)
+
+
+@pytest.mark.slow
+def test_virtual_control_that_stays_ends_the_iterations():
+    """On 60 nodes the trust region's norm, which adds up over the nodes, holds iterates where the dynamics are unmet."""
+    found = Planner(nodes=60, method=SCP())(scenarios.platform_to_platform())
+    assert status_names(found.status) == "dynamics_unmet"
+    count = int(found.iterations)
+    virtual, step = (np.asarray(v)[:count] for v in (found.history.virtual, found.history.step))
+    settings = SCP()
+    assert virtual[-1] > settings.tolerance_virtual
+    assert step[-1] < settings.tolerance_step < step[-2]
+    np.testing.assert_allclose(virtual[-1], virtual[-2], rtol=1e-2)
