@@ -83,7 +83,7 @@ def test_arrays_survive_the_way_there(both, case):
 
 @pytest.mark.slow
 def test_virtual_control_that_stays_ends_the_iterations():
-    """On 60 nodes the trust region's norm, which adds up over the nodes, holds iterates where the dynamics are unmet."""
+    """The trust region's norm adds up over the nodes: on 60 it holds iterates where the dynamics are unmet."""
     found = Planner(nodes=60, method=SCP())(scenarios.platform_to_platform())
     assert status_names(found.status) == "dynamics_unmet"
     count = int(found.iterations)

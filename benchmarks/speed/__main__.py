@@ -4,8 +4,8 @@
                                [--lanes 4096] [--total 65536]
 
 Parts: ``profile``, ``rivals`` (extra ``benchmarks``), ``scaling``, ``starts``, ``levels``, ``batches``. All but the
-last by default; ``--gpu`` is the last alone. ``--check`` compares the ratios with benchmarks/baseline.json and ends with 1
-where one has become worse by more than a factor of 1.5.
+last by default; ``--gpu`` is the last alone. ``--check`` compares the ratios with benchmarks/baseline.json and ends
+with 1 where one has become worse by more than a factor of 1.5.
 """
 
 import argparse
