@@ -198,7 +198,7 @@ class SCP(eqx.Module):
 
 
 def _stays(virtual: Scalar, state: SCPState) -> Flag:
-    """Whether virtual control is what it was before the last subproblem: near a fixed point going on does not end it."""
+    """Whether virtual control is what it was before the last subproblem: near a fixed point that does not change."""
     before = state.history.virtual[state.iterations - 1]
     return (state.iterations > 0) & (virtual > KEPT * before)
 
