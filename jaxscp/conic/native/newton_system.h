@@ -152,18 +152,23 @@ class NewtonSystem {
     const int n = g.n;
     Entries w = g.of_cones(s.w, p);
     spread(g.hessian, p, panel, 0);
-    add_squares(g.rows, p, panel, 0, g.r, [&](int i) { return 1.0 / (w[i] * w[i]); });
+    Entries weight = g.of_cones(wide_, p);
+    in_team(g.r, [&](int i) { weight[i] = 1.0 / (w[i] * w[i]); });
+    in_team(g.user_cones, [&](int c) {
+      auto [offset, d, _] = g.cone_at(c);
+      Pack by = 1.0 / (s.eta_of(p, c) * s.eta_of(p, c));
+      for (int i = 0; i < d; ++i) weight[offset + i] = i == 0 ? -by : by;
+    });
+    add_squares(g.rows, p, panel, weight);
+    add_squares(g.user, p, panel, weight + g.r);
     for (int c = 0; c < g.user_cones; ++c) {
       const int offset = g.cone_at(c).offset, d = g.cone_at(c).dimension;
       Pack by = 1.0 / (s.eta_of(p, c) * s.eta_of(p, c));
-      int row = offset - g.r;
-      add_squares(g.user, p, panel, row, row + d, [&](int i) { return i == row ? -by : by; });
       Pack* along = &right_[p * n * kSides];
       in_team(n, [&](int j) {
-        along[j] = g.user.add_transposed(p, j, all(0.0), [&](int i) {
-          if (i < row || i >= row + d) return all(0.0);
-          return i == row ? w[offset] : -w[offset + i - row];
-        });
+        Pack total = w[offset] * g.user.entry(p, offset - g.r, j);
+        for (int i = 1; i < d; ++i) total -= w[offset + i] * g.user.entry(p, offset - g.r + i, j);
+        along[j] = total;
       });
       in_team(n, [&](int i) {
         Pack v = 2.0 * by * along[i];
@@ -181,14 +186,12 @@ class NewtonSystem {
     });
   }
 
-  // Adds weight(i) a a' for the rows i of a matrix from ``first`` to ``end``: to a row of the panel after another.
-  template <typename Weight>
-  void add_squares(const Matrix& matrix, int p, Pack* panel, int first, int end, Weight weight) const {
+  // Adds weight[i] a a' for the rows of a matrix: to a row of the panel after another.
+  void add_squares(const Matrix& matrix, int p, Pack* panel, Entries weight) const {
     Entries a = matrix.at(p);
     in_team(program_.n, [&](int j) {
       matrix.each_of_column(j, [&](int i, int e) {
-        if (i < first || i >= end) return;
-        Pack v = weight(i) * a[e];
+        Pack v = weight[i] * a[e];
         for (int f = matrix.start[i]; f <= e; ++f) entry(node_panel(program_), panel, j, matrix.column[f]) += v * a[f];
       });
     });

@@ -68,6 +68,10 @@ class Matrix {
   }
 
   Entries at(int pack) const { return value_.of(pack, entries); }
+  Pack entry(int pack, int i, int j) const {
+    const int e = place_[i * columns + j];
+    return e == kNone ? all(0.0) : at(pack)[e];
+  }
 
   // Row i times v.
   Pack times(int pack, int i, Entries v) const {

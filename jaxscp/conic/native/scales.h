@@ -1,4 +1,4 @@
-// Ruiz's scales of a program (``conic/equilibrate.py`` has the mathematics), which is read once a round and not written.
+// Ruiz's scales of a program (``conic/equilibrate.py`` has the mathematics), read once a round and never written.
 #pragma once
 
 #include <algorithm>
