@@ -158,7 +158,12 @@ def test_it_is_the_pass_in_jax(rate, name, method):
 
 @needs_compiled
 @pytest.mark.parametrize(
-    ("name", "grid"), [("outcomes", Grid()), ("linear", Grid(points=3, steps=2)), ("curved", Grid())]
+    ("name", "grid"),
+    [
+        ("outcomes", Grid()),
+        ("linear", Grid(points=3, steps=2)),
+        pytest.param("curved", Grid(), marks=pytest.mark.slow),  # as JAX it takes half a minute to compile
+    ],
 )
 def test_it_is_the_pass_in_jax_of_a_flight(name, grid):
     """With everything that a scenario may ask for."""
