@@ -25,8 +25,8 @@ def at_level(request, monkeypatch):
     Takes the module, whose STEM it is, and the names of its targets there.
     """
 
-    def use(module, *names, stem=None):
-        library = libraries.library(stem or module.STEM, request.param)
+    def use(module, *names):
+        library = libraries.library(module.STEM, request.param)
         if library is None:
             pytest.skip(
                 f"{request.param} is not built for this kind of machine, or it lacks the instructions"

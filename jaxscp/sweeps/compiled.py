@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxscp import libraries
 from jaxscp.sweeps import functions, native, tape
 from jaxscp.sweeps.functions import Function
 from jaxscp.sweeps.intervals import Given, Intervals, Outcome
@@ -29,7 +30,7 @@ class Functions(NamedTuple):
 
 def serves(w: Array) -> bool:
     """Whether it goes through intervals of these variables."""
-    return w.dtype == jnp.float64 and native.available()
+    return libraries.in_float64(w) and native.available()
 
 
 def record(intervals: Intervals, inputs: int, given: Given, order: int) -> Functions:

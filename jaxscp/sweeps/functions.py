@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxscp import libraries
 from jaxscp.sweeps import tape, tracing
 from jaxscp.sweeps.symbols import Number
 
@@ -39,7 +40,7 @@ def record(function: Callable[..., Array], arguments: int, data: Sequence[Array]
     Raises:
         CannotTrace: if they are not arithmetic alone.
     """
-    if not all(v.dtype == jnp.float64 for v in data):
+    if not libraries.in_float64(data):
         raise tracing.CannotTrace("data that are no float64")
     like = jax.ShapeDtypeStruct((arguments,), jnp.float64)
     values = jax.eval_shape(function, like, *data).shape[0]

@@ -163,7 +163,7 @@ class NewtonSystem {
     add_squares(g.user, p, panel, weight + g.r);
     for (int c = 0; c < g.user_cones; ++c) {
       const int offset = g.cone_at(c).offset, d = g.cone_at(c).dimension;
-      Pack by = 1.0 / (s.eta_of(p, c) * s.eta_of(p, c));
+      Pack by = -weight[offset];
       Pack* along = &right_[p * n * kSides];
       in_team(n, [&](int j) {
         Pack total = w[offset] * g.user.entry(p, offset - g.r, j);

@@ -8,8 +8,8 @@
 
 namespace jaxscp {
 
-// A number of the mathematics, for two packs of intervals, as it takes longer to look up an operation than
-// to do it once.
+// A number of the mathematics, for two packs of intervals, as it takes longer to look up an operation than to do it
+// once.
 struct Wide {
   Pack low, high;
 };
