@@ -14,6 +14,7 @@ from collections.abc import Callable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from jaxscp import lanes
@@ -220,18 +221,19 @@ class NewtonSCP(eqx.Module):
         linear, curvature = expand(problem, candidate, multipliers, self.grid)
 
         ratio = jnp.where(settled, 1.0, (judge(now) - found.whole.merit) / jnp.maximum(jnp.abs(gain), 1e-12))
-        finite = jnp.all(
-            jnp.stack(
-                [jnp.all(jnp.isfinite(v)) for v in jax.tree.leaves((new, linear, curvature, multipliers))]
-            )
-        )
-        good = usable(solution.status) & finite
+        found_all, _ = ravel_pytree((new, linear, curvature, multipliers))
+        good = usable(solution.status) & jnp.all(jnp.isfinite(found_all))
         accept = good & (found.good | settled)
 
         proximal, exact = _adapted(state, ratio, accept, found.chosen)
-        choose = lambda a, b: jax.tree.map(lambda p, q: jnp.where(accept, p, q), a, b)  # noqa: E731
         past = jax.tree.map(lambda p, v: jnp.concatenate([v[None], p[:-1]]), state.past, new)
-        z, past = choose(candidate, state.z), choose(past, state.past)
+        z, past, kept_linear, kept_curvature, kept_multipliers = jax.lax.cond(
+            accept,
+            lambda taken, _: taken,
+            lambda _, kept: kept,
+            (candidate, past, linear, curvature, multipliers),
+            (state.z, state.past, state.linear, state.curvature, state.multipliers),
+        )
         now = jax.tree.map(lambda v: v[0], past)
         defects = jnp.linalg.norm(now.defect, axis=1)
         lacks = jnp.stack([jnp.sum(defects), worst_violation(problem, now)]) / self.tolerance_defect
@@ -259,9 +261,9 @@ class NewtonSCP(eqx.Module):
         )
         return NewtonState(
             z=z,
-            linear=choose(linear, state.linear),
-            curvature=choose(curvature, state.curvature),
-            multipliers=choose(multipliers, state.multipliers),
+            linear=kept_linear,
+            curvature=kept_curvature,
+            multipliers=kept_multipliers,
             past=past,
             proximal=proximal,
             exact=exact,
