@@ -10,7 +10,8 @@ from jaxtyping import Array, Bool, Float, Shaped
 
 from jaxscp.constraints import SecondOrder
 from jaxscp.intervals import Linearisation, Outputs, active_points
-from jaxscp.lagrangian import FlightMultipliers, slack
+from jaxscp.lagrangian import slack
+from jaxscp.multipliers import FlightMultipliers
 from jaxscp.problem import OptimalControlProblem
 from jaxscp.types import Nodes
 

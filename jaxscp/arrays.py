@@ -7,6 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
+PRECISION = (
+    "precision: jaxscp solves in float64, which JAX has switched off. Put jax.config.update('jax_enable_x64', True) at "
+    "the start of the program, or set JAX_ENABLE_X64=1."
+)
+
 
 def namespace(*values: Any) -> Any:
     """``jax.numpy`` where any of these pytrees is traced, else ``numpy``.
@@ -28,3 +33,8 @@ def namespace(*values: Any) -> Any:
 def floats(value: Any) -> jax.Array:
     """Numbers, arrays, or nested lists of them, as an array of floats."""
     return jnp.asarray(namespace(value).asarray(value, float))
+
+
+def double_precision() -> bool:
+    """Whether JAX computes in float64, as all of this library does."""
+    return bool(jax.config.jax_enable_x64)  # pyright: ignore[reportAttributeAccessIssue]

@@ -26,8 +26,8 @@ from jaxtyping import Array, Float
 from jaxscp.constraints import Cone, SecondOrder
 from jaxscp.inequalities import cones
 from jaxscp.intervals import Grid, evaluate
-from jaxscp.lagrangian import FlightMultipliers
 from jaxscp.lagrangian import lagrangian as multiplied
+from jaxscp.multipliers import FlightMultipliers
 from jaxscp.problem import OptimalControlProblem
 from jaxscp.types import Scalar
 

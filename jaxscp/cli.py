@@ -24,8 +24,9 @@ from jaxscp.caching import use_cache
 from jaxscp.convexify import NormTrustRegion, ProximalTrustRegion
 from jaxscp.corridor import CorridorResult, PointCloud, box, build_corridor, read_cloud
 from jaxscp.mission import LandingScenario, at_rest
-from jaxscp.planner import Planner, Solution
+from jaxscp.planner import Planner
 from jaxscp.scp import SCP
+from jaxscp.solution import Solution
 from jaxscp.status import Status, status_names
 from jaxscp.validation import InvalidScenario, validate
 

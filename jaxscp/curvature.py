@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxscp.semidefinite import nearest
+from jaxscp.semidefinite import eigen, nearest
 from jaxscp.types import Scalar
 
 FLOORS = (
@@ -71,18 +71,19 @@ def condensed(
         offset = jnp.concatenate([defect, jnp.zeros(controls)])
         whole = block + step.T @ after @ step
         least, tries = _schur_complements(whole, stage)
-        fine = [_convex(before + DEEPEST_CURVATURE * jnp.eye(stage)) for before, _ in tries]
+        _, lowest = nearest(jnp.stack([before for before, _ in tries]))
+        fine = lowest > -DEEPEST_CURVATURE
 
         def clipped(whole):
             return _schur_complements(_clip(whole, FLOORS[0])[0], stage)[1][0]
 
         def first_that_serves(whole):
             found = tries[-1]
-            for good, other in zip(fine[-2::-1], tries[-2::-1], strict=True):
-                found = jax.tree.map(lambda a, b, good=good: jnp.where(good, a, b), other, found)
+            for i in reversed(range(len(FLOORS) - 1)):
+                found = jax.tree.map(lambda a, b, i=i: jnp.where(fine[i], a, b), tries[i], found)
             return found
 
-        before, convex = jax.lax.cond(jnp.any(jnp.stack(fine)), first_that_serves, clipped, whole)
+        before, convex = jax.lax.cond(jnp.any(fine), first_that_serves, clipped, whole)
         return before, (convex, step.T @ (after @ offset), ~(fine[0] & (least >= FLOORS[0])))
 
     first, (convex, gradient, clipped) = jax.lax.scan(
@@ -96,20 +97,16 @@ def condensed(
 
 def _clip(h: Float[Array, "n n"], least: float) -> tuple[Float[Array, "n n"], Scalar]:
     """Symmetric matrix with eigenvalues raised to ``least``, and the lowest it had."""
-    values, vectors = jnp.linalg.eigh(0.5 * (h + h.T))
-    return (vectors * jnp.maximum(values, least)) @ vectors.T, values[0]
-
-
-def _convex(h: Float[Array, "n n"]) -> Bool[Array, ""]:
-    """Whether a symmetric matrix has a Cholesky factor."""
-    return jnp.all(jnp.isfinite(jnp.linalg.cholesky(h)))
+    raised = least * jnp.eye(h.shape[0], dtype=h.dtype)
+    (convex,), (lowest,) = nearest((h - raised)[None])
+    return convex + raised, lowest + least
 
 
 def _schur_complements(whole: Float[Array, "n n"], stage: int):
     """Minimise over the controls at the interval's end, their curvature raised to each of the floors: the least
     curvature that they have themselves; by floor, what is left and what was used."""
     own, cross = whole[stage:, stage:], whole[stage:, :stage]
-    values, vectors = jnp.linalg.eigh(0.5 * (own + own.T))
+    (values,), (vectors,) = eigen(own[None])
     turned = vectors.T @ cross
 
     def at(floor):
@@ -119,4 +116,4 @@ def _schur_complements(whole: Float[Array, "n n"], stage: int):
         convex = jnp.block([[saved, cross.T], [cross, (vectors * raised) @ vectors.T]])
         return 0.5 * (before + before.T), 0.5 * (convex + convex.T)
 
-    return values[0], [at(floor) for floor in FLOORS]
+    return jnp.min(values), [at(floor) for floor in FLOORS]

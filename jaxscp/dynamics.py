@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxscp import rotations
+from jaxscp.semidefinite import pseudo_inverse
 from jaxscp.types import Scalar, Vector3
 
 
@@ -88,7 +89,7 @@ class RigidBody(Dynamics):
         """Least-norm rotor thrusts in N that carry the level body's weight without torque."""
         wrench = jnp.concatenate([self.thrust_map, self.torque_map])
         weight = jnp.concatenate([-self.mass * self.gravity, jnp.zeros_like(self.gravity)])
-        return jnp.linalg.pinv(wrench) @ weight
+        return pseudo_inverse(wrench) @ weight
 
 
 def _inverse(matrix: Float[Array, "3 3"]) -> Float[Array, "3 3"]:

@@ -16,7 +16,7 @@ from jaxscp.intervals import (
     linearisation,
     prices,
 )
-from jaxscp.lagrangian import FlightMultipliers
+from jaxscp.multipliers import FlightMultipliers
 from jaxscp.problem import OptimalControlProblem
 
 

@@ -31,8 +31,8 @@ from jaxscp.inequalities import (
     unit,
 )
 from jaxscp.intervals import Grid, evaluate
-from jaxscp.lagrangian import FlightMultipliers
 from jaxscp.lifted import stage_sizes
+from jaxscp.multipliers import FlightMultipliers
 from jaxscp.normal import Rows, normal
 from jaxscp.problem import OptimalControlProblem, end_condition, start_condition, typical_sizes
 from jaxscp.stationarity import equalities_gradient

@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 import jax
 
-from jaxscp import archive, caching
+from jaxscp import archive, caching, exporting
 from jaxscp.ahead import CompiledPlanner, compiled, with_programs, without_obstacles
 from jaxscp.compiler import inside, options
+from jaxscp.loading import load
 from jaxscp.mission import LandingScenario
 from jaxscp.structure import Description, describe
 
@@ -102,8 +103,6 @@ def _code() -> str:
 
 
 def _found(file: pathlib.Path) -> CompiledPlanner | None:
-    from jaxscp.loading import load  # which builds what the planner returns, and so comes after it
-
     if not file.exists():
         return None
     try:
@@ -115,9 +114,9 @@ def _found(file: pathlib.Path) -> CompiledPlanner | None:
 
 def _made(file: pathlib.Path, planner: Planner, like: LandingScenario) -> CompiledPlanner:
     plan = planner.plan_ahead(like)
-    programs = archive.programs_of(plan)
+    programs = exporting.programs_of(plan)
     try:
-        archive.write(file, plan, programs, portable=False)
+        exporting.write(file, plan, programs, portable=False)
     except Exception as error:  # a disk that is full, a solver on the host: the plan itself is none the worse
         warnings.warn(f"jaxscp: the planner cannot be kept: {error}", stacklevel=2)
     return with_programs(plan, programs)

@@ -14,7 +14,7 @@ from jaxscp.conic.program import Cones, Links, Multipliers, Rows, StagedProgram
 from jaxscp.constraints import AtNodes, Constraint, NonNegative, SecondOrder, Zero
 from jaxscp.convexify import terminal_cost
 from jaxscp.intervals import Linearisation, active_points, value_at
-from jaxscp.lagrangian import FlightMultipliers
+from jaxscp.multipliers import FlightMultipliers
 from jaxscp.problem import Condition, OptimalControlProblem
 
 

@@ -13,7 +13,8 @@ from jaxscp import lanes
 from jaxscp.convexify import terminal_cost
 from jaxscp.correction import Correction, corrected
 from jaxscp.intervals import Grid, evaluate
-from jaxscp.lagrangian import FlightMultipliers, Residual, merit, residual
+from jaxscp.lagrangian import Residual, merit, residual
+from jaxscp.multipliers import FlightMultipliers
 from jaxscp.problem import OptimalControlProblem
 from jaxscp.types import Count, Flag, Scalar
 

@@ -1,23 +1,18 @@
 """Planners from files."""
 
 import os
+from typing import TYPE_CHECKING
 
 import jax
 
-from jaxscp.ahead import CompiledPlanner
-from jaxscp.archive import COMPILED, InvalidExport, compiled_anew, executables, machine, read
-from jaxscp.certificate import Certificate
-from jaxscp.lagrangian import FlightMultipliers
-from jaxscp.planner import Solution
-from jaxscp.scp import History
-from jaxscp.structure import prototype
-from jaxscp.trajectory import Trajectory
-from jaxscp.validation import PRECISION, double_precision
+from jaxscp.archive import InvalidExport, begin, find_lapack, is_here, machine, read
+from jaxscp.arrays import PRECISION, double_precision
 
-_CLASSES = (Solution, Trajectory, FlightMultipliers, Certificate, History)
+if TYPE_CHECKING:
+    from jaxscp.ahead import CompiledPlanner
 
 
-def load(file: str | os.PathLike, *, compile: bool = True) -> CompiledPlanner:
+def load(file: str | os.PathLike, *, compile: bool = True) -> "CompiledPlanner":
     """A planner that ``Planner.export`` wrote: it traces nothing, and on the machine it was made on compiles nothing.
 
     The file holds machine code, which a call runs: load none that you would not run as a program. The code is used
@@ -48,21 +43,15 @@ def load(file: str | os.PathLike, *, compile: bool = True) -> CompiledPlanner:
     if header["compiled"] and header["platform"] == "gpu" and "device" in differs:
         made_on = header["machine"].get("device")
         raise InvalidExport(f"{file}: holds a kernel for {made_on}; export the planner on this GPU.")
-    if not all(name in COMPILED and COMPILED[name]() for name in header["compiled"]):
+    if not all(map(is_here, header["compiled"])):
         raise InvalidExport(
             f"{file}: calls what was compiled with jaxscp, and is not here; install jaxscp again with a C++ compiler."
         )
-    try:
-        solution = prototype(header["solution"], _CLASSES)
-    except (KeyError, TypeError) as error:
-        raise InvalidExport(f"{file}: from another version of jaxscp; export the planner again.") from error
     if differs and not (compile and archive.portable):
         raise InvalidExport(f"{file}: made on another machine, which differs in {', '.join(differs)}.")
-    programs = compiled_anew(archive) if differs else executables(archive)
-    return CompiledPlanner(
-        nodes=header["nodes"],
-        lanes=header["lanes"],
-        scenario=header["scenario"],
-        solution=jax.tree.structure(solution),
-        **programs,
-    )
+    begun = None if differs else begin(archive)
+    if header["lapack"]:
+        find_lapack()
+    from jaxscp import loaded  # most of what is imported, while threads load the programs
+
+    return loaded.planner(file, archive, begun)

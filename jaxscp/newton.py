@@ -27,15 +27,10 @@ from jaxscp.correction import HOLD, corrected, correction
 from jaxscp.curvature import Chain, Convex, condensed, projected
 from jaxscp.discretise import interval_inputs
 from jaxscp.expansion import expand
+from jaxscp.history import History
 from jaxscp.interior import Interior
 from jaxscp.intervals import Grid, Linearisation, evaluate, linearise
-from jaxscp.lagrangian import (
-    FlightMultipliers,
-    Residual,
-    no_multipliers,
-    residual,
-    worst_violation,
-)
+from jaxscp.lagrangian import Residual, no_multipliers, residual, worst_violation
 from jaxscp.lifted import (
     buffered,
     cost_gradient,
@@ -46,9 +41,10 @@ from jaxscp.lifted import (
 )
 from jaxscp.lifted import check as check_liftable
 from jaxscp.line_search import Merit, Step, search
+from jaxscp.multipliers import FlightMultipliers
 from jaxscp.problem import OptimalControlProblem, node_times, typical_sizes
 from jaxscp.reflown import reflown_gradient
-from jaxscp.scp import Answer, End, History
+from jaxscp.scp import Answer, End
 from jaxscp.sensitivity import follow
 from jaxscp.stationarity import lagrangian_gradient, stationarity
 from jaxscp.status import Status, StatusCode, usable

@@ -10,51 +10,24 @@ import jax.numpy as jnp
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
-from jaxscp import ahead, archive, lanes
+from jaxscp import ahead, exporting, lanes
 from jaxscp.allocation import allocate
 from jaxscp.certificate import Certificate, acceptable, certify
 from jaxscp.compiler import quickly
 from jaxscp.initial_guess import initial_guess
 from jaxscp.kept import kept
-from jaxscp.lagrangian import FlightMultipliers
 from jaxscp.landing import landing_problem
 from jaxscp.mission import LandingScenario
 from jaxscp.newton import NewtonSCP
 from jaxscp.problem import OptimalControlProblem, node_times
-from jaxscp.scp import SCP, Answer, End, History, solve
-from jaxscp.status import Status, StatusCode
+from jaxscp.scp import SCP, Answer, End, solve
+from jaxscp.solution import Solution
+from jaxscp.status import Status
 from jaxscp.trajectory import Trajectory
-from jaxscp.types import Count, Flag, Scalar
+from jaxscp.types import Flag
 from jaxscp.validation import valid, validate
 
 CERTIFIED_AT_ONCE = 4096  # on a GPU, which is as long over fewer
-
-
-class Solution(eqx.Module):
-    """A planned flight and what is known about it: look at ``status`` first. Never NaN, and finite but for the
-    certificate of a flight that cannot be integrated."""
-
-    status: StatusCode
-    """``converged`` only where the iterations converged and the certificate agrees."""
-    trajectory: Trajectory
-    cost: Scalar
-    """w_u integral |u| dt + w_t t_f."""
-    final_time: Scalar
-    """s"""
-    iterations: Count
-    """Subproblems solved."""
-    newton_steps: Count
-    """Steps of the interior point that went from the last subproblem's point to the optimum."""
-    differentiable: Flag
-    """Whether the plan is an optimum to rounding, so that it has derivatives; else those asked for are NaN."""
-    multipliers: FlightMultipliers | None
-    """Prices of the flow, of the conditions at both ends and of the constraints; None where the method has none."""
-    certificate: Certificate
-    history: History
-    z: Float[Array, "nodes variables"]
-    """Node variables: the warm start of a re-plan."""
-    allocation: Int[Array, "intervals"]
-    """Polytope of every interval."""
 
 
 class Planner(eqx.Module):
@@ -138,7 +111,7 @@ class Planner(eqx.Module):
         plan = self.plan_ahead(scenario, lanes)
         if not (folder := pathlib.Path(file).absolute().parent).is_dir():
             raise FileNotFoundError(f"{folder}: no such folder to write {os.fspath(file)} in")
-        archive.write(file, plan, archive.programs_of(plan))
+        exporting.write(file, plan, exporting.programs_of(plan))
 
     def plan_ahead(self, scenario: LandingScenario, lanes: int | None = None) -> ahead.Plan:
         """What is to be compiled for scenarios like this one."""

@@ -8,7 +8,8 @@ from jaxtyping import Array, Float
 from jaxscp import runge_kutta
 from jaxscp.discretise import interval_inputs
 from jaxscp.intervals import Grid, Outputs, given, intervals_of, outputs
-from jaxscp.lagrangian import FlightMultipliers, lagrangian
+from jaxscp.lagrangian import lagrangian
+from jaxscp.multipliers import FlightMultipliers
 from jaxscp.problem import OptimalControlProblem
 from jaxscp.sweeps import Intervals, in_jax
 

@@ -10,14 +10,15 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from jaxscp import lanes
 from jaxscp.conic.interior_point import InteriorPoint
 from jaxscp.conic.program import ConicSolution, StagedProgram
 from jaxscp.convexify import NormTrustRegion, TrustRegion, convexify
 from jaxscp.discretise import Discretisation, discretise
-from jaxscp.lagrangian import FlightMultipliers
+from jaxscp.history import History
+from jaxscp.multipliers import FlightMultipliers
 from jaxscp.problem import OptimalControlProblem, node_times
 from jaxscp.sensitivity import without_derivative
 from jaxscp.status import Status, StatusCode, usable
@@ -25,25 +26,6 @@ from jaxscp.types import Count, Flag, Scalar
 
 KEPT = 0.99  # of virtual control, from a subproblem to the next, where it will not vanish
 COARSEST = 1e-4  # relative accuracy of the first subproblems
-
-
-class History(eqx.Module):
-    """One row an iteration, (max_iterations,) each; rows from ``iterations`` on are zero."""
-
-    cost: Float[Array, "*iterations"]
-    """The problem's cost at the iterate, as its subproblem predicts it."""
-    objective: Float[Array, "*iterations"]
-    """Optimal value of the subproblem, penalties included and constants left out."""
-    final_time: Float[Array, "*iterations"]
-    """Seconds."""
-    virtual: Float[Array, "*iterations"]
-    """Largest virtual control of an interval, max |nu_i|."""
-    step: Float[Array, "*iterations"]
-    """Largest change of a node, max |z_k - zref_k|."""
-    defect: Float[Array, "*iterations"]
-    """Largest |F(z_i) - x_{i+1}| of an interval: what the iterate lacks of obeying the true dynamics."""
-    conic_iterations: Int[Array, "*iterations"]
-    """Steps of the conic solver."""
 
 
 class Answer(eqx.Module):

@@ -26,7 +26,7 @@ from jaxscp.conic.implicit import once, undefined
 from jaxscp.inequalities import Jacobians, Values, cones, pulled, unit
 from jaxscp.interior import Scalings, along, lagrangian_chain, local, newton_chain, scaled, scalings, weighed
 from jaxscp.intervals import Grid
-from jaxscp.lagrangian import FlightMultipliers
+from jaxscp.multipliers import FlightMultipliers
 from jaxscp.problem import OptimalControlProblem, typical_sizes
 from jaxscp.types import Flag
 

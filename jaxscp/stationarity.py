@@ -10,8 +10,8 @@ from jaxtyping import Array, Float
 
 from jaxscp.inequalities import jacobians, onto_nodes, pulled
 from jaxscp.intervals import Linearisation
-from jaxscp.lagrangian import FlightMultipliers
 from jaxscp.lifted import cost_gradient
+from jaxscp.multipliers import FlightMultipliers
 from jaxscp.problem import OptimalControlProblem, typical_sizes
 from jaxscp.types import Scalar
 

@@ -9,14 +9,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxscp.arrays import PRECISION, double_precision
 from jaxscp.mission import LandingScenario
 from jaxscp.types import Flag
 
 CLEARANCE = 1e-6  # m by which start and goal may miss their polytope, for rounding
-PRECISION = (
-    "precision: jaxscp solves in float64, which JAX has switched off. Put jax.config.update('jax_enable_x64', True) at "
-    "the start of the program, or set JAX_ENABLE_X64=1."
-)
 UNIT_NORM = 1e-3  # by which a quaternion's norm may differ from one
 
 
@@ -59,11 +56,6 @@ def valid(scenario: LandingScenario) -> Flag:
     with np.errstate(all="ignore"):
         checks = [*_finite(scenario, jnp), *rules(scenario, jnp)]
     return jnp.all(jnp.stack([jnp.asarray(rule.holds) for rule in checks]))
-
-
-def double_precision() -> bool:
-    """Whether JAX computes in float64, as all of this library does."""
-    return bool(jax.config.jax_enable_x64)  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def check_types(scenario: LandingScenario, nodes: int) -> None:
@@ -160,9 +152,9 @@ def _vehicle_rules(s: LandingScenario, xp):
     body, frame = s.airframe.body, s.airframe
     yield Rule(body.mass > 0, f"airframe.body.mass: must be positive, got {body.mass} kg.")
     asymmetry = xp.max(xp.abs(body.inertia - xp.swapaxes(body.inertia, -1, -2)))
-    smallest = xp.min(xp.linalg.eigvalsh(0.5 * (body.inertia + xp.swapaxes(body.inertia, -1, -2))))
+    definite = _positive_definite(0.5 * (body.inertia + xp.swapaxes(body.inertia, -1, -2)))
     yield Rule(
-        (smallest > 0) & (asymmetry <= 1e-9 * xp.max(xp.abs(body.inertia))),
+        definite & (asymmetry <= 1e-9 * xp.max(xp.abs(body.inertia))),
         "airframe.body.inertia: must be symmetric and positive definite; units are kg m^2.",
     )
     excess = xp.max(frame.thrust_min - frame.thrust_max, initial=-np.inf)
@@ -248,8 +240,16 @@ def _bounded(normals, xp):
     rays = rays / xp.maximum(length, 1e-9)
     along = xp.einsum("kfc,krc->krf", normals, rays)
     open_ray = (xp.max(along, axis=-1) <= 1e-9) | (xp.min(along, axis=-1) >= -1e-9)
-    full_rank = xp.linalg.eigvalsh(xp.einsum("kfc,kfd->kcd", normals, normals))[:, 0] > 1e-9
+    full_rank = _positive_definite(xp.einsum("kfc,kfd->kcd", normals, normals) - 1e-9 * np.eye(3))
     return full_rank & ~xp.any(open_ray & proper, axis=-1)
+
+
+def _positive_definite(matrices):
+    """Whether symmetric 3 x 3 matrices are, by Sylvester's criterion: all leading minors are positive."""
+    (a, b, c), (_, d, e), (_, _, f) = ([matrices[..., i, j] for j in range(3)] for i in range(3))
+    minor = a * d - b * b
+    whole = a * (d * f - e * e) - b * (b * f - c * e) + c * (b * e - c * d)
+    return (a > 0) & (minor > 0) & (whole > 0)
 
 
 def _flight_limit_rules(s: LandingScenario, xp):

@@ -22,11 +22,11 @@ from jaxscp import libraries  # noqa: E402, with its annotations checked
 def at_level(request, monkeypatch):
     """One after another of what is compiled: has a module call its library of that level.
 
-    Takes the module, whose STEM it is, and the names of its targets there.
+    Takes the module, whose LIBRARY it is, and the names of its targets there.
     """
 
     def use(module, *names):
-        library = libraries.library(module.STEM, request.param)
+        library = libraries.library(module.LIBRARY.stem, request.param)
         if library is None:
             pytest.skip(
                 f"{request.param} is not built for this kind of machine, or it lacks the instructions"
@@ -35,7 +35,7 @@ def at_level(request, monkeypatch):
             handler = getattr(module, name)
             assert libraries.register(library, handler, target=f"{handler}_{request.param}")
             monkeypatch.setattr(module, name, f"{handler}_{request.param}")
-        monkeypatch.setattr(module, "available", lambda: True)
+        monkeypatch.setattr(libraries.Library, "available", lambda _: True)
 
     return use
 

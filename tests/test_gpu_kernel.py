@@ -23,7 +23,7 @@ from jaxscp.conic.native import gpu
 
 COMPILER = shutil.which("g++")
 needs_compiler = pytest.mark.skipif(
-    COMPILER is None or not native.available(), reason="no g++ to compile the kernel for this machine"
+    COMPILER is None or not native.LIBRARY.available(), reason="no g++ to compile the kernel for this machine"
 )
 ROUNDING = 1e-9  # relative, as for the loop for CPUs
 STEPS = 4
@@ -77,7 +77,7 @@ def test_steps_are_the_same_and_lanes_do_not_touch(kernel, monkeypatch):
     batch = jax.tree.map(lambda *v: jnp.stack(v), programs[0], poisoned, programs[2])
     expected = iterate(InteriorPoint(max_iterations=STEPS), batch)
     monkeypatch.setattr(native, "TARGET", name)
-    monkeypatch.setattr(native, "available", lambda: True)
+    monkeypatch.setattr(libraries.Library, "available", lambda _: True)
     found = iterate(InteriorPoint(max_iterations=STEPS), batch)
     assert found.broken.tolist() == [False, True, False]
     np.testing.assert_array_equal(found.iterations, expected.iterations)

@@ -14,7 +14,8 @@ from jaxscp.conic.interior_point import InteriorPoint
 from jaxscp.conic.native import scales as native_scales
 
 pytestmark = pytest.mark.skipif(
-    not native.available(), reason="the interior point was not compiled: no C++ compiler at installation"
+    not native.LIBRARY.available(),
+    reason="the interior point was not compiled: no C++ compiler at installation",
 )
 
 ROUNDING = (

@@ -12,7 +12,7 @@ from jaxscp.normal import Normal, Rows, in_jax, native, normal
 ROUNDING = 1e-13  # relative, of sums of some hundred products
 
 compiled = pytest.mark.skipif(
-    not native.available(), reason="the sums were not compiled: no C++ compiler at installation"
+    not native.LIBRARY.available(), reason="the sums were not compiled: no C++ compiler at installation"
 )
 
 

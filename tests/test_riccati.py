@@ -17,7 +17,7 @@ SAME_STEPS = (
 )
 
 compiled = pytest.mark.skipif(
-    not native.available(), reason="the recursion was not compiled: no C++ compiler at installation"
+    not native.LIBRARY.available(), reason="the recursion was not compiled: no C++ compiler at installation"
 )
 
 

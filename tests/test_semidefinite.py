@@ -7,12 +7,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxscp.semidefinite import in_jax, native, nearest
+from jaxscp.semidefinite import eigen, in_jax, native, nearest, pseudo_inverse
 
 ROUNDING = 1e-13  # of the largest entry: some hundred rotations, each to 1e-16
+STEP, DIFFERENCES = (
+    1e-6,
+    1e-6,
+)  # of central differences: rounding by the step, and a thousand times the step's square
+CUT = (
+    1e-9  # of the largest singular value: the others of matrices without full rank are zero but for rounding
+)
 
 compiled = pytest.mark.skipif(
-    not native.available(), reason="the projection was not compiled: no C++ compiler at installation"
+    not native.LIBRARY.available(), reason="the projection was not compiled: no C++ compiler at installation"
 )
 
 
@@ -30,6 +37,12 @@ def assert_nearest(matrices):
     np.testing.assert_allclose(found / size[:, None, None], expected / size[:, None, None], atol=ROUNDING)
     np.testing.assert_allclose(least / size, values[:, 0] / size, atol=ROUNDING)
     np.testing.assert_array_equal(found, np.swapaxes(found, 1, 2))
+    ours, columns = map(np.asarray, eigen(matrices))
+    np.testing.assert_allclose(np.sort(ours) / size[:, None], values / size[:, None], atol=ROUNDING)
+    eye = np.broadcast_to(np.eye(matrices.shape[1]), matrices.shape)
+    np.testing.assert_allclose(np.swapaxes(columns, 1, 2) @ columns, eye, atol=ROUNDING)
+    again = columns * (ours / size[:, None])[:, None, :] @ np.swapaxes(columns, 1, 2)
+    np.testing.assert_allclose(again, matrices / size[:, None, None], atol=ROUNDING)
 
 
 @given(seed=st.integers(0, 10_000), count=st.integers(1, 19), size=st.integers(1, 26))
@@ -60,7 +73,7 @@ def test_matrices_that_are_hard_to_take_apart():
 @pytest.mark.parametrize("size", [1, 2, 9, 23])
 def test_every_level_that_runs_here_gives_the_same(size, at_level):
     matrices = np.random.default_rng(3).standard_normal((11, size, size))
-    at_level(native, "TARGET")
+    at_level(native, "NEAREST", "EIGEN")
     assert_nearest(jnp.asarray(matrices + np.swapaxes(matrices, 1, 2)))
 
 
@@ -85,3 +98,19 @@ def test_lanes_of_a_batch_and_the_same_as_jax():
     expected, lowest = jax.jit(jax.vmap(in_jax.nearest))(matrices)
     np.testing.assert_allclose(found, expected, atol=1e2 * ROUNDING)
     np.testing.assert_allclose(least, lowest, atol=1e2 * ROUNDING)
+
+
+@pytest.mark.parametrize(
+    ("rows", "columns", "rank"), [(6, 4, 4), (6, 4, 3), (6, 8, 6), (6, 8, 4), (1, 1, 1), (1, 1, 0)]
+)
+def test_pseudo_inverse_and_its_derivative_where_the_rank_stays(rows, columns, rank):
+    random = np.random.default_rng(rows + columns + rank)
+    left, along_left = random.standard_normal((2, rows, rank))
+    right, along_right = random.standard_normal((2, rank, columns)) * 10.0 ** random.uniform(-1, 1, columns)
+    matrix = lambda t: (left + t * along_left) @ (right + t * along_right)  # noqa: E731
+    slope = along_left @ right + left @ along_right
+    inverse, found = jax.jvp(pseudo_inverse, (jnp.asarray(matrix(0.0)),), (jnp.asarray(slope),))
+    ahead, here, behind = (np.linalg.pinv(matrix(t), rcond=CUT) for t in (STEP, 0.0, -STEP))
+    size = max(1.0, np.abs(here).max()) ** 2
+    np.testing.assert_allclose(inverse / size, here / size, atol=ROUNDING)
+    np.testing.assert_allclose(found / size, (ahead - behind) / (2 * STEP) / size, atol=DIFFERENCES)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxscp import runge_kutta, sweeps
+from jaxscp import libraries, runge_kutta, sweeps
 from jaxscp.airframes import paper_mav
 from jaxscp.discretise import interval_inputs
 from jaxscp.dynamics import DoubleIntegrator
@@ -30,7 +30,7 @@ from jaxscp.sweeps import (
 from tests.flights import random_nodes, short_problem
 
 needs_compiled = pytest.mark.skipif(
-    not native.available(), reason="the sweep was not compiled: no C++ compiler at installation"
+    not native.LIBRARY.available(), reason="the sweep was not compiled: no C++ compiler at installation"
 )
 ROUNDING = 1e-12  # relative: the sums are those of the pass in JAX, in another order
 BENT = 1e-10  # of a flight: a margin's curvature is that of a corner rounded to a tenth of a millimetre
@@ -203,7 +203,7 @@ def test_on_other_devices_what_is_asked_of_the_ends_alone_is_not_forgotten(monke
     asked = eqx.tree_at(lambda i: i.watch, intervals, Watch(of_ends=Watched(states).of_ends))
     data = Given((), jnp.ones((COUNT, 2)), data.keep)
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    monkeypatch.setattr(native, "available", lambda: False)
+    monkeypatch.setattr(libraries.Library, "available", lambda _: False)
     expected = jax.eval_shape(in_jax.linear, asked, w, data)
     found = jax.eval_shape(lambda *a: sweeps.linear(*a), asked, w, data)
     assert expected[0].ends.shape == (COUNT, 3)

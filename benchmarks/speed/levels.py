@@ -20,7 +20,9 @@ CALLS = 5  # of a turn
 
 def run(echo: Callable[[str], None], nodes: int, repeats: int) -> dict[str, Any]:
     """Both modes on Case 1."""
-    levels = [level for level in libraries.LEVELS if libraries.library(native.STEM, level) is not None]
+    levels = [
+        level for level in libraries.LEVELS if libraries.library(native.LIBRARY.stem, level) is not None
+    ]
     levels.append("none")
     rows = {mode: milliseconds(mode, levels, nodes, repeats) for mode in METHODS}
     echo(f"{'a plan, ms':16}" + "".join(f"{mode:>10}" for mode in METHODS))

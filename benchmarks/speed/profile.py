@@ -31,9 +31,10 @@ from jaxscp.interior import local, newton_chain, scaled, scalings, weighed
 from jaxscp.intervals import evaluate
 from jaxscp.lagrangian import residual
 from jaxscp.lifted import lifted_program, stage_sizes
-from jaxscp.planner import Solution, trajectory_of
+from jaxscp.planner import trajectory_of
 from jaxscp.problem import typical_sizes
 from jaxscp.scenarios import platform_to_platform
+from jaxscp.solution import Solution
 from jaxscp.validation import validate
 
 Echo = Callable[[str], None]

@@ -18,13 +18,14 @@ IMPORT = """
 import jax
 jax.config.update("jax_enable_x64", True)
 import jaxscp
-scenario = jaxscp.scenarios.platform_to_platform()
 """
+SCENARIO = "scenario = jaxscp.scenarios.platform_to_platform()\n"
 CACHE = "jaxscp.use_cache({folder!r})\n"
 PLANNER = "planner = jaxscp.Planner(nodes={nodes}, method={method})\n"
 LOAD = "planner = jaxscp.load({file!r})\n"
-EXPORT = "planner.export({file!r}, scenario)\n"
-PLAN = "assert jaxscp.status_names(planner(scenario).status) == 'converged'\n"
+EXPORT = SCENARIO + "planner.export({file!r}, scenario)\nprint('converged')\n"
+PLAN = SCENARIO + "print(jaxscp.status_names(planner(scenario).status), flush=True)\n"
+ANSWER = "converged"
 KINDS = ("cold", "cached", "export")
 
 
@@ -54,8 +55,17 @@ def starts(method: str, nodes: int) -> dict[str, float]:
 
 
 def seconds(code: str) -> float:
-    """Of a process that runs the code."""
+    """From the start of a process that runs the code to its answer, the first line that it prints."""
     variables = {k: v for k, v in os.environ.items() if k != "JAX_COMPILATION_CACHE_DIR"}
     began = time.perf_counter()
-    subprocess.run([sys.executable, "-c", code], check=True, env=variables, stderr=subprocess.PIPE)
-    return time.perf_counter() - began
+    with tempfile.TemporaryFile("w+") as said:
+        process = subprocess.Popen(
+            [sys.executable, "-c", code], env=variables, stdout=subprocess.PIPE, stderr=said, text=True
+        )
+        with process:
+            answer = process.stdout.readline().strip() if process.stdout else ""
+            took = time.perf_counter() - began
+        said.seek(0)
+        if process.returncode != 0 or answer != ANSWER:
+            raise RuntimeError(f"no plan, but {answer!r}: {said.read()}")
+    return took

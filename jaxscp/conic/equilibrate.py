@@ -43,7 +43,7 @@ class Scales(eqx.Module):
 def equilibrate(program: StagedProgram, rounds: int = 3) -> tuple[StagedProgram, Scales]:
     """Scale a program; ``Scales.restore`` takes its solution back, which does not depend on the scales: they have no
     derivative."""
-    in_cpp = in_float64(program) and native_scales.available()
+    in_cpp = in_float64(program) and native_scales.LIBRARY.available()
     scales = choose(
         functools.partial(_scales_in_cpp, rounds=rounds) if in_cpp else None,
         functools.partial(_scales, rounds=rounds),

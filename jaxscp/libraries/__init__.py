@@ -14,7 +14,7 @@ import functools
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -40,6 +40,37 @@ def choose(cpu: Callable[..., Any] | None, elsewhere: Callable[..., Any], *args:
     if jax.default_backend() == "cpu":
         return cpu(*args)
     return jax.lax.platform_dependent(*args, cpu=cpu, default=elsewhere)
+
+
+class Library(NamedTuple):
+    """What was compiled of one part of the package, if a compiler was found at its installation."""
+
+    stem: Path
+    """Of its files, ``stem_level.so``."""
+    targets: tuple[str, ...]
+    """What XLA calls on a CPU."""
+
+    def available(self) -> bool:
+        """Whether it was compiled for this machine; makes its targets known to XLA."""
+        return self.level() is not None
+
+    def level(self) -> str | None:
+        """The instruction set that it is compiled for here, if it is; see ``LEVELS``."""
+        found = [level(self.stem, target) for target in self.targets]
+        return found[0] if all(found) else None
+
+
+_PACKAGE = Path(__file__).parents[1]
+INTERIOR_POINT = Library(_PACKAGE / "conic/native/interior_point", ("jaxscp_interior_point", "jaxscp_scales"))
+NORMAL = Library(_PACKAGE / "normal/native/normal", ("jaxscp_normal",))
+RICCATI = Library(_PACKAGE / "riccati/native/riccati", ("jaxscp_riccati_factor", "jaxscp_riccati_solve"))
+SEMIDEFINITE = Library(
+    _PACKAGE / "semidefinite/native/semidefinite", ("jaxscp_nearest_semidefinite", "jaxscp_eigen")
+)
+SWEEP = Library(_PACKAGE / "sweeps/native/sweep", ("jaxscp_sweep",))
+EVERY = (INTERIOR_POINT, NORMAL, RICCATI, SEMIDEFINITE, SWEEP)
+ON_GPU = "jaxscp_interior_point_on_gpu"
+"""What XLA calls on an NVIDIA GPU, of the same file as ``INTERIOR_POINT``."""
 
 
 @functools.cache

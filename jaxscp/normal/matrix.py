@@ -12,5 +12,5 @@ __all__ = ["Normal", "Rows", "normal"]
 
 def normal(parts: tuple[Rows, ...]) -> Normal:
     """Sums over all constraints, of which there must be one."""
-    cpu = native.normal if in_float64(parts) and native.available() else None
+    cpu = native.normal if in_float64(parts) and native.LIBRARY.available() else None
     return choose(cpu, in_jax.normal, parts)

@@ -6,9 +6,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
-from jaxscp.planner import Solution
 from jaxscp.plot.curves import Array
 from jaxscp.plot.style import BLUE, GREEN, LEGEND, ORANGE
+from jaxscp.solution import Solution
 
 
 def draw_convergence(axes: Any, solution: Solution) -> Any:

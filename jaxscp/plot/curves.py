@@ -11,7 +11,7 @@ from jaxscp.certificate import Flight, fly
 from jaxscp.corridor.polytopes import Corridor
 from jaxscp.landing import landing_problem
 from jaxscp.mission import LandingScenario
-from jaxscp.planner import Solution
+from jaxscp.solution import Solution
 
 SAMPLES = 24  # drawn points an interval
 

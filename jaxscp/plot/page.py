@@ -7,12 +7,12 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import Axes3D
 
 from jaxscp.mission import LandingScenario
-from jaxscp.planner import Solution
 from jaxscp.plot.convergence import draw_convergence
 from jaxscp.plot.curves import flown, planned
 from jaxscp.plot.histories import draw_histories
 from jaxscp.plot.scene import draw_scene
 from jaxscp.plot.style import LEGEND
+from jaxscp.solution import Solution
 from jaxscp.status import status_names
 
 

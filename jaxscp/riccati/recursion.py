@@ -27,4 +27,4 @@ def solve(factor: Factor, right: Side, refinements: int = REFINEMENTS) -> Side:
 
 
 def _compiled(chain: Chain) -> bool:
-    return in_float64(chain) and native.available()
+    return in_float64(chain) and native.LIBRARY.available()

@@ -1,5 +1,7 @@
-"""The nearest positive semidefinite matrices: negative eigenvalues become zero."""
+"""Symmetric matrices by their eigenvalues: what these are, the nearest matrices without negative ones,
+and pseudo-inverses."""
 
-from jaxscp.semidefinite.nearest import nearest
+from jaxscp.semidefinite.nearest import eigen, nearest
+from jaxscp.semidefinite.pseudo_inverse import pseudo_inverse
 
-__all__ = ["nearest"]
+__all__ = ["eigen", "nearest", "pseudo_inverse"]

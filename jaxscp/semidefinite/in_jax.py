@@ -12,3 +12,11 @@ def nearest(
     values, vectors = jnp.linalg.eigh(matrices, symmetrize_input=True)
     raised = vectors * jnp.maximum(values, 0.0)[:, None, :]
     return raised @ jax.lax.transpose(vectors, (0, 2, 1)), values[:, 0]
+
+
+def eigen(
+    matrices: Float[Array, "count size size"],
+) -> tuple[Float[Array, "count size"], Float[Array, "count size size"]]:
+    """Eigenvalues and vectors."""
+    values, vectors = jnp.linalg.eigh(matrices, symmetrize_input=True)
+    return values, vectors

@@ -30,7 +30,7 @@ class Functions(NamedTuple):
 
 def serves(w: Array) -> bool:
     """Whether it goes through intervals of these variables."""
-    return libraries.in_float64(w) and native.available()
+    return libraries.in_float64(w) and native.LIBRARY.available()
 
 
 def record(intervals: Intervals, inputs: int, given: Given, order: int) -> Functions:

@@ -19,8 +19,6 @@ The libraries are compiled when the package is installed, if there is a C++ comp
 and in float32, the interior point runs as JAX.
 """
 
-from pathlib import Path
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -31,42 +29,19 @@ from jaxscp.conic.native import gpu
 from jaxscp.conic.program import StagedProgram
 from jaxscp.types import Scalar
 
-TARGET = "jaxscp_interior_point"
-TARGETS = (TARGET, gpu.TARGET)
+LIBRARY = libraries.INTERIOR_POINT
+TARGET, _ = LIBRARY.targets
 MAX_GROUPS, MAX_CONES = 32, 256  # of a node, as in ``layout.h``
-STEM = Path(__file__).with_name("interior_point")
-
-
-def available() -> bool:
-    """Whether the loop was compiled for this machine; makes it known to XLA."""
-    return level() is not None
-
-
-def level() -> str | None:
-    """The instruction set that the loop is compiled for here, if it is; see ``libraries.LEVELS``."""
-    return libraries.level(STEM, TARGET)
-
-
-def available_on_gpu() -> bool:
-    """Whether what launches the kernel was compiled for this machine; makes it known to XLA."""
-    return libraries.level(STEM, gpu.TARGET, "CUDA") is not None
-
-
-def runs_here() -> bool:
-    """Whether what XLA calls on JAX's default device was compiled; makes it known to XLA."""
-    if jax.default_backend() == "cpu":
-        return available()
-    return gpu.capability() is not None and available_on_gpu()
 
 
 def serves(program: StagedProgram) -> bool:
     """Whether the compiled loop takes this program, on a CPU."""
-    return _numbers_fit(program) and available()
+    return _numbers_fit(program) and LIBRARY.available()
 
 
 def serves_on_gpu(program: StagedProgram) -> bool:
     """Whether the kernel takes this program, on the GPU that is JAX's default device."""
-    return _numbers_fit(program) and runs_here() and gpu.serves(program)
+    return _numbers_fit(program) and gpu.available() and gpu.serves(program)
 
 
 def _numbers_fit(program: StagedProgram) -> bool:

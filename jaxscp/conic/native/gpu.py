@@ -17,7 +17,7 @@ import numpy as np
 from jaxscp import libraries
 from jaxscp.conic.program import StagedProgram
 
-TARGET = "jaxscp_interior_point_on_gpu"
+TARGET = libraries.ON_GPU
 OLDEST = (8, 0)  # compute capability: the first whose tensor cores add float64
 THREADS = 256  # that solve a program together
 BLOCKS = 4  # programs that a multiprocessor has at once
@@ -67,6 +67,14 @@ def capability() -> str | None:
         return None
     number = tuple(map(int, min(found).split(".")))
     return "".join(map(str, number)) if number >= OLDEST else None
+
+
+def available() -> bool:
+    """Whether JAX runs on GPUs for the kernel, and what launches it was compiled; makes that known to XLA."""
+    return (
+        capability() is not None
+        and libraries.level(libraries.INTERIOR_POINT.stem, TARGET, "CUDA") is not None
+    )
 
 
 @functools.cache

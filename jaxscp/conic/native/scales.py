@@ -5,15 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxscp import libraries
-from jaxscp.conic.native import STEM
 from jaxscp.conic.program import StagedProgram
 
-TARGET = "jaxscp_scales"
-
-
-def available() -> bool:
-    """Whether it was compiled for this machine; makes it known to XLA."""
-    return libraries.level(STEM, TARGET) is not None
+LIBRARY = libraries.INTERIOR_POINT
+_, TARGET = LIBRARY.targets
 
 
 def scales(program: StagedProgram, rounds: int) -> list[jax.Array]:

@@ -6,8 +6,6 @@ In the order in which they build on each other (products are those of ``librarie
     handler.cc    what XLA calls: its threads share the places
 """
 
-from pathlib import Path
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,19 +13,8 @@ import numpy as np
 from jaxscp import libraries
 from jaxscp.normal.rows import Normal, Rows
 
-TARGET = "jaxscp_normal"
-TARGETS = (TARGET,)
-STEM = Path(__file__).with_name("normal")
-
-
-def available() -> bool:
-    """Whether it was compiled for this machine; makes it known to XLA."""
-    return level() is not None
-
-
-def level() -> str | None:
-    """The instruction set that it is compiled for here, if it is; see ``libraries.LEVELS``."""
-    return libraries.level(STEM, TARGET)
+LIBRARY = libraries.NORMAL
+(TARGET,) = LIBRARY.targets
 
 
 def normal(parts: tuple[Rows, ...]) -> Normal:

@@ -6,8 +6,6 @@ In the order in which they build on each other (products are those of ``librarie
     handler.cc    what XLA calls: a thread a lane
 """
 
-from pathlib import Path
-
 import jax
 import numpy as np
 
@@ -15,19 +13,8 @@ from jaxscp import libraries
 from jaxscp.riccati.in_jax import PENALTY
 from jaxscp.riccati.system import Chain, Factor, Side, no_factor
 
-FACTOR, SOLVE = "jaxscp_riccati_factor", "jaxscp_riccati_solve"
-TARGETS = (FACTOR, SOLVE)
-STEM = Path(__file__).with_name("riccati")
-
-
-def available() -> bool:
-    """Whether it was compiled for this machine; makes it known to XLA."""
-    return level() is not None
-
-
-def level() -> str | None:
-    """The instruction set that it is compiled for here, if it is; see ``libraries.LEVELS``."""
-    return libraries.level(STEM, FACTOR) and libraries.level(STEM, SOLVE)
+LIBRARY = libraries.RICCATI
+FACTOR, SOLVE = LIBRARY.targets
 
 
 def factor(chain: Chain) -> Factor:

@@ -1,4 +1,4 @@
-"""The projection in C++, as compiled for this machine.
+"""Eigenvalues and the projection in C++, as compiled for this machine.
 
 In the order in which they build on each other (``libraries/pack.h`` has the registers):
 
@@ -6,27 +6,14 @@ In the order in which they build on each other (``libraries/pack.h`` has the reg
     handler.cc    what XLA calls: its threads share the packs
 """
 
-from pathlib import Path
-
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxscp import libraries
 
-TARGET = "jaxscp_nearest_semidefinite"
-TARGETS = (TARGET,)
-STEM = Path(__file__).with_name("semidefinite")
-
-
-def available() -> bool:
-    """Whether it was compiled for this machine; makes it known to XLA."""
-    return level() is not None
-
-
-def level() -> str | None:
-    """The instruction set that it is compiled for here, if it is; see ``libraries.LEVELS``."""
-    return libraries.level(STEM, TARGET)
+LIBRARY = libraries.SEMIDEFINITE
+NEAREST, EIGEN = LIBRARY.targets
 
 
 def nearest(
@@ -35,5 +22,15 @@ def nearest(
     """``in_jax.nearest``, to rounding."""
     shapes = matrices.shape, matrices.shape[:1]
     results = [jax.ShapeDtypeStruct(shape, jnp.float64) for shape in shapes]
-    found, least = jax.ffi.ffi_call(TARGET, results, vmap_method="broadcast_all")(matrices)
+    found, least = jax.ffi.ffi_call(NEAREST, results, vmap_method="broadcast_all")(matrices)
     return found, least
+
+
+def eigen(
+    matrices: Float[Array, "count size size"],
+) -> tuple[Float[Array, "count size"], Float[Array, "count size size"]]:
+    """``in_jax.eigen``, to rounding and but for the order."""
+    shapes = matrices.shape[:-1], matrices.shape
+    results = [jax.ShapeDtypeStruct(shape, jnp.float64) for shape in shapes]
+    values, vectors = jax.ffi.ffi_call(EIGEN, results, vmap_method="broadcast_all")(matrices)
+    return values, vectors

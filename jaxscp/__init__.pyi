@@ -1,0 +1,33 @@
+# Imported when first used: see ``__init__.py``.
+
+from . import airframes as airframes
+from . import corridor as corridor
+from . import scenarios as scenarios
+from .ahead import CompiledPlanner as CompiledPlanner
+from .archive import InvalidExport as InvalidExport
+from .caching import use_cache as use_cache
+from .certificate import Certificate as Certificate
+from .certificate import acceptable as acceptable
+from .certificate import certify as certify
+from .convexify import NormTrustRegion as NormTrustRegion
+from .convexify import ProximalTrustRegion as ProximalTrustRegion
+from .loading import load as load
+from .mission import BodyState as BodyState
+from .mission import Components as Components
+from .mission import Ellipsoids as Ellipsoids
+from .mission import FlightLimits as FlightLimits
+from .mission import LandingScenario as LandingScenario
+from .mission import Weights as Weights
+from .mission import at_rest as at_rest
+from .mission import ellipsoids as ellipsoids
+from .mission import fixed as fixed
+from .mission import flight_limits as flight_limits
+from .newton import NewtonSCP as NewtonSCP
+from .planner import Planner as Planner
+from .scp import SCP as SCP
+from .solution import Solution as Solution
+from .status import Status as Status
+from .status import status_names as status_names
+from .trajectory import Trajectory as Trajectory
+from .validation import InvalidScenario as InvalidScenario
+from .validation import validate as validate
