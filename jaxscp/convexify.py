@@ -11,20 +11,34 @@ from jaxscp.discretise import Discretisation
 from jaxscp.problem import Boundary, OptimalControlProblem, node_times
 from jaxscp.types import Scalar
 
+PAPER_NODES = 30
+"""Of the paper's flights, for which weights are given."""
+
 
 class NormTrustRegion(eqx.Module):
-    """The paper's trust region (19f): cost ``weight |z_k - zref_k|``, not squared.
+    """The paper's trust region (19f): cost ``weight |z_k - zref_k|``, not squared, at each of 30 nodes.
 
-    An exact penalty on moving: iterations stop wherever the merit's slope is below the weight, optimal or not.
+    An exact penalty on moving: iterations stop wherever the merit's slope is below the weight, optimal or not. With
+    other numbers of nodes the weight is theirs in proportion, so that the sum prices the move of a flight as a whole,
+    whatever its nodes: else moving would cost more than virtual control on fine grids, which would stay.
     """
 
     weight: float = 10.0
 
+    def at_node(self, nodes: int) -> float:
+        """Weight of each of so many nodes."""
+        return self.weight * PAPER_NODES / nodes
+
 
 class ProximalTrustRegion(eqx.Module):
-    """Cost ``weight |z_k - zref_k|^2``: vanishes to second order, so that fixed points are optimal."""
+    """Cost ``weight |z_k - zref_k|^2`` at each of 30 nodes, and with others in proportion: vanishes to second order, so
+    that fixed points are optimal."""
 
     weight: float = 0.1
+
+    def at_node(self, nodes: int) -> float:
+        """Weight of each of so many nodes."""
+        return self.weight * PAPER_NODES / nodes
 
 
 TrustRegion = NormTrustRegion | ProximalTrustRegion
@@ -193,11 +207,12 @@ def _links(problem, reference, flow: Discretisation, equalities, virtual_weight)
 def _with_trust_region(
     program: StagedProgram, reference: Float[Array, "nodes variables"], trust_region: TrustRegion
 ) -> StagedProgram:
+    weight = trust_region.at_node(program.nodes)
     if isinstance(trust_region, NormTrustRegion):
-        weight = jnp.full((program.nodes,), trust_region.weight, reference.dtype)
-        norm = NormCost(weight, jnp.ones_like(reference), reference)
+        every = jnp.full((program.nodes,), weight, reference.dtype)
+        norm = NormCost(every, jnp.ones_like(reference), reference)
         return eqx.tree_at(lambda p: p.norm, program, norm, is_leaf=lambda v: v is None)
-    curvature = 2.0 * trust_region.weight
+    curvature = 2.0 * weight
     hessian = program.hessian + curvature * jnp.eye(program.variables, dtype=reference.dtype)
     return eqx.tree_at(
         lambda p: (p.hessian, p.gradient), program, (hessian, program.gradient - curvature * reference)

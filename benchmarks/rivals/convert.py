@@ -23,7 +23,7 @@ from jaxscp.constraints import (
     repeat_over_nodes,
     within_control_limits,
 )
-from jaxscp.convexify import NormTrustRegion
+from jaxscp.convexify import PAPER_NODES, NormTrustRegion
 from jaxscp.dynamics import RigidBody
 from jaxscp.initial_guess import initial_guess
 from jaxscp.landing import effort, flight_time, landing_problem
@@ -63,7 +63,7 @@ def as_problem(arrays: LandingArrays) -> tuple[OptimalControlProblem, Float[Arra
 def as_method(arrays: LandingArrays) -> SCP:
     """Algorithm 1 with the settings that the arrays hold."""
     return SCP(
-        trust_region=NormTrustRegion(arrays.weight_trust),
+        trust_region=NormTrustRegion(arrays.weight_trust * arrays.nodes / PAPER_NODES),
         virtual_weight=arrays.weight_virtual,
         tolerance_virtual=arrays.tolerance_virtual,
         tolerance_step=arrays.tolerance_trust,
@@ -100,7 +100,7 @@ def as_arrays(scenario: LandingScenario, nodes: int, method: SCP | None = None) 
         weight_control=float(scenario.weights.control),
         weight_time=float(scenario.weights.time),
         weight_virtual=method.virtual_weight,
-        weight_trust=method.trust_region.weight,
+        weight_trust=method.trust_region.at_node(nodes),
         tolerance_virtual=method.tolerance_virtual,
         tolerance_trust=method.tolerance_step,
         max_iterations=method.max_iterations,
