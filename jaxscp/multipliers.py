@@ -1,4 +1,4 @@
-"""Prices of a flight."""
+"""Multipliers of a flight: what its dynamics, its ends and its constraints cost."""
 
 import equinox as eqx
 import jax.numpy as jnp
