@@ -138,7 +138,7 @@ void add_products(double (&sums)[2], double a, double b) {
 static xla::ffi::Error solve(xla::ffi::RemainingArgs args, xla::ffi::RemainingRets rets, xla::ffi::Dictionary attrs) {
   auto found = jaxscp::shaped(args, rets, attrs);
   if (!found.has_value()) return found.error();
-  long long found_room[3], &numbers = found_room[0];
+  long long found_room[4], &numbers = found_room[0];
   jaxscp_room(found_room);
   std::vector<double> room(numbers, std::nan(""));
   unsigned long long taken = 0;

@@ -125,6 +125,18 @@ inline void grams(PanelShape shape, const Pack* panel, Pack* out) {
   gram(a, b, half, size, out + 2 * half * half);
 }
 
+// Where a panel is put together.
+inline Pack* room_for(PanelShape, Pack* panel) { return panel; }
+inline void clear(PanelShape shape, Pack* panel) { std::fill_n(panel, shape.rows * shape.size, all(0.0)); }
+
+// Of a node: the same, and ``below`` of it, which has what is not zero there.
+template <typename Below>
+inline void eliminate(PanelShape shape, Pack* room, const Below& below, Pack*, Pack* out) {
+  below.each([&](int i, int j, Pack v) { entry(shape, room, shape.size + i, j) = v; });
+  eliminate(shape, room);
+  grams(shape, room, out);
+}
+
 // out = L^-1 right for the rows of A, and K L^-1 right for those below; S right sides at once, side by side.
 template <int S>
 inline void descend(PanelShape shape, const Pack* panel, const Pack* right, Pack* out) {

@@ -1,54 +1,41 @@
 // What ``elimination.h`` does, by the lanes of a warp together.
 //
-// A panel is held by columns. Lane i has row i in its registers while the columns are eliminated one after another. The
-// leading rows end as M = L'^-1 in place of L, so that solutions are products, and so are rows that have no lane.
+//     [ A  B' ]
+//     [ B  0  ]       A = L L',  M = L'^-1,  K = B M
+//
+// M in place of L makes products of solutions. Lane i has row i of A in its registers while the columns are eliminated
+// one after another; products are for tensor cores.
 #pragma once
 
 #include "layout.h"
-#include "threads.h"
+#include "shared_room.h"
 
 namespace jaxscp {
 
 constexpr unsigned kEvery = 0xffffffff;  // lane of the warp
 
-// Numbers that the lanes of a warp pass to each other.
-constexpr int kPassed = 128;
-inline double* passed() {
-  __shared__ double numbers[kThreads / kWarp][kPassed];
-  return numbers[warp_of_block()];
+// Where the lower triangle of A is put together, by columns.
+template <int kSize, int kRows>
+inline double* room_for(PanelShape<kSize, kRows>, double*) {
+  return tile_of_warp();
+}
+template <int kSize, int kRows>
+inline void clear(PanelShape<kSize, kRows>, double* tile) {
+  in_team(kSize * kSize, [&](int i) { tile[i] = 0.0; });
+}
+template <int kSize, int kRows>
+inline double& entry(PanelShape<kSize, kRows>, double* tile, int i, int j) {
+  return tile[j * kSize + i];
 }
 
-template <int kSize, int kRows>
-inline double& entry(PanelShape<kSize, kRows>, double* panel, int i, int j) {
-  return panel[j * kRows + i];
-}
-
-// K = B M for the rows from the 32nd on: to hold two rows at once would take more registers than a lane has.
-template <int kSize, int kRows>
-JAXSCP_CALLED void eliminate_the_rest(double* panel) {
-#pragma unroll 1
-  for (int i = kWarp + lane_of_warp(); i < kRows; i += kWarp) {
-    double row[kSize];
-#pragma unroll
-    for (int j = 0; j < kSize; ++j) row[j] = panel[j * kRows + i];
-#pragma unroll
-    for (int j = kSize - 1; j >= 0; --j) {
-      double sums[2] = {};
-#pragma unroll
-      for (int k = 0; k <= j; ++k) sums[k % 2] += row[k] * panel[j * kRows + k];
-      panel[j * kRows + i] = sums[0] + sums[1];
-    }
-  }
-  __syncwarp();
-}
-
-template <int kSize, int kRows>
-JAXSCP_CALLED void eliminate(PanelShape<kSize, kRows>, double* panel) {
-  static_assert(kSize <= kWarp && 4 * kSize <= kPassed, "a lane for each leading row");
+// M in place of A, its lower triangle as zeros.
+template <int kSize>
+JAXSCP_CALLED void invert_factor(double* tile) {
+  static_assert(kSize <= kWarp && 4 * kSize <= kPassed, "a lane for each row");
   const int lane = lane_of_warp();
   double row[kSize];  // from the column on that is next
 #pragma unroll
-  for (int j = 0; j < kSize; ++j) row[j] = lane < kRows ? panel[j * kRows + lane] : 0.0;
+  for (int j = 0; j < kSize; ++j) row[j] = lane < kSize ? tile[j * kSize + lane] : 0.0;
   for (int i = lane; i < 4 * kSize; i += kWarp) passed()[i] = 0.0;
   __syncwarp();
 #pragma unroll 1
@@ -58,17 +45,19 @@ JAXSCP_CALLED void eliminate(PanelShape<kSize, kRows>, double* panel) {
     // what lane j has of A is spent: from here on it has a row of the identity, as if that had been below
     bool spent = lane == j;
     double first = (spent ? 1.0 : row[0]) * scale;
-    if (lane < kSize) column[lane] = first;
-    if (lane < kRows) panel[j * kRows + lane] = lane >= kSize || lane <= j ? first : 0.0;
+    if (lane < kSize) {
+      column[lane] = first;
+      tile[j * kSize + lane] = lane <= j ? first : 0.0;
+    }
     __syncwarp();
 #pragma unroll
     for (int l = 1; l < kSize; ++l) row[l - 1] = (spent ? 0.0 : row[l]) - first * column[j + l];
   }
   __syncwarp();
-  if constexpr (kRows > kWarp) eliminate_the_rest<kSize, kRows>(panel);
 }
 
-// 8 x 8 sums of products of 8 x 4 and 4 x 8 numbers, which tensor cores add to; a lane has two neighbours of a row.
+// 8 x 8 sums of products of 8 x 4 and 4 x 8 numbers, which tensor cores add to: they take a whole warp. Of the factors lane 4 i + k has entries
+// (i, k) and (k, i), of the sums two neighbours of row i, from column 2 k on.
 #if defined(JAXSCP_EMULATED_GPU)
 void add_products(double (&sums)[2], double a, double b);
 #else
@@ -79,91 +68,202 @@ inline void add_products(double (&sums)[2], double a, double b) {
 }
 #endif
 
+// Products of an eliminated panel: M is in the tile, and K in the registers of the tensor cores' sums.
 template <int kSize, int kRows>
-JAXSCP_CALLED void grams(PanelShape<kSize, kRows>, const double* panel, double* out) {
-  constexpr int kBelow = kRows - kSize, kHalf = kBelow / 2;
-  constexpr int kTiles = (kBelow + 7) / 8, kSteps = (kSize + 3) / 4;
-  const int lane = lane_of_warp(), row = lane / 4, column = lane % 4;
-  double sums[kTiles * (kTiles + 1) / 2][2] = {};
-  __syncwarp();  // tensor cores take a whole warp
+class Products {
+ public:
+  explicit Products(const double* tile) : tile_(tile) {}
+
+  // K for rows b(i, j).
+  template <typename Below>
+  void find(Below below) {
 #pragma unroll
-  for (int k = 0; k < kSteps; ++k) {
-    double part[kTiles];
+    for (int s = 0; s < kTilesBelow; ++s) {
+      double b[kSteps];
 #pragma unroll
-    for (int t = 0; t < kTiles; ++t) {
-      int i = 8 * t + row, j = 4 * k + column;
-      part[t] = i < kBelow && j < kSize ? panel[j * kRows + kSize + i] : 0.0;
-    }
-#pragma unroll
-    for (int s = 0, at = 0; s < kTiles; ++s)
-#pragma unroll
-      for (int t = 0; t <= s; ++t, ++at) add_products(sums[at], part[s], part[t]);
-  }
-  // entry (i, j) of the whole lower triangle: of a a', of b b', or of b a', which is wanted the other way round
-#pragma unroll
-  for (int s = 0, at = 0; s < kTiles; ++s)
-#pragma unroll
-    for (int t = 0; t <= s; ++t, ++at)
-#pragma unroll
-      for (int e = 0; e < 2; ++e) {
-        int i = 8 * s + row, j = 8 * t + 2 * column + e;
-        if (i >= kBelow || j > i) continue;
-        if (i < kHalf) out[i * kHalf + j] = sums[at][e];
-        else if (j >= kHalf) out[kHalf * kHalf + (i - kHalf) * kHalf + j - kHalf] = sums[at][e];
-        else out[2 * kHalf * kHalf + j * kHalf + i - kHalf] = sums[at][e];
+      for (int k = 0; k < kSteps; ++k) {
+        const int i = 8 * s + row_, j = 4 * k + column_;
+        b[k] = i < kBelow && j < kSize ? below(i, j) : 0.0;
       }
-  __syncwarp();
-}
-
-// out = M' v for the panel's rows from ``first`` to ``end``: four lanes a column. ``v`` begins at row ``first``.
-template <int S, int kSize, int kRows>
-JAXSCP_CALLED void times_transposed(const double* panel, int first, int end, const double* v, double* out) {
-  const int lane = lane_of_warp(), quarter = lane % 4;
-#pragma unroll 1
-  for (int j0 = 0; j0 < kSize; j0 += 8) {
-    int j = j0 + lane / 4;
-    double sums[S] = {};
-    if (j < kSize)
-#pragma unroll 4
-      for (int i = first + quarter; i < end; i += 4)
-        for (int s = 0; s < S; ++s) sums[s] += panel[j * kRows + i] * v[(i - first) * S + s];
-    for (int s = 0; s < S; ++s) {
-      sums[s] += __shfl_xor_sync(kEvery, sums[s], 1);
-      sums[s] += __shfl_xor_sync(kEvery, sums[s], 2);
-      if (j < kSize && quarter == 0) out[j * S + s] = sums[s];
+      __syncwarp();
+#pragma unroll
+      for (int k = 0; k < kSteps; ++k)
+#pragma unroll
+        for (int u = k / 2; u < kTiles; ++u) add_products(k_[s][u], b[k], m(4 * k + column_, 8 * u + row_));
     }
   }
+
+  // Entries of K.
+  template <typename Put>
+  void each(Put put) const {
+#pragma unroll
+    for (int s = 0; s < kTilesBelow; ++s)
+#pragma unroll
+      for (int u = 0; u < kTiles; ++u) put_tile(s, u, kBelow, kSize, k_[s][u], put);
+  }
+
+  // Sums as they lie are factors for the next product, whose columns are then taken in another order.
+
+  // Entries of K K', of its lower triangle.
+  template <typename Put>
+  void each_of_gram(Put put) const {
+#pragma unroll
+    for (int s = 0; s < kTilesBelow; ++s)
+#pragma unroll
+      for (int t = 0; t <= s; ++t) {
+        double sums[2] = {};
+        __syncwarp();
+#pragma unroll
+        for (int u = 0; u < kTiles; ++u)
+#pragma unroll
+          for (int e = 0; e < 2; ++e) add_products(sums, k_[s][u][e], k_[t][u][e]);
+        put_tile(s, t, kBelow, kBelow, sums, [&](int i, int j, double v) {
+          if (j <= i) put(i, j, v);
+        });
+      }
+  }
+
+  // Entries of B A^-1 = K M'.
+  template <typename Put>
+  void each_of_solved(Put put) const {
+#pragma unroll
+    for (int s = 0; s < kTilesBelow; ++s)
+#pragma unroll
+      for (int t = 0; t < kTiles; ++t) {
+        double sums[2] = {};
+        __syncwarp();
+#pragma unroll
+        for (int u = t; u < kTiles; ++u)
+#pragma unroll
+          for (int e = 0; e < 2; ++e) add_products(sums, k_[s][u][e], m(8 * t + row_, 8 * u + 2 * column_ + e));
+        put_tile(s, t, kBelow, kSize, sums, put);
+      }
+  }
+
+  // Entries of A^-1 = M M'.
+  template <typename Put>
+  void each_of_inverse(Put put) const {
+#pragma unroll
+    for (int s = 0; s < kTiles; ++s)
+#pragma unroll
+      for (int t = 0; t <= s; ++t) {
+        double sums[2] = {};
+        __syncwarp();
+#pragma unroll
+        for (int k = 2 * s; k < kSteps; ++k)
+          add_products(sums, m(8 * s + row_, 4 * k + column_), m(8 * t + row_, 4 * k + column_));
+        put_tile(s, t, kSize, kSize, sums, [&](int i, int j, double v) {
+          if (j <= i) put(i, j, v), put(j, i, v);
+        });
+      }
+  }
+
+ private:
+  static constexpr int kBelow = kRows - kSize, kTilesBelow = (kBelow + 7) / 8;
+  static constexpr int kTiles = (kSize + 7) / 8, kSteps = (kSize + 3) / 4;
+
+  double m(int i, int j) const { return i < kSize && j < kSize ? tile_[j * kSize + i] : 0.0; }
+
+  template <typename Put>
+  void put_tile(int s, int t, int rows, int columns, const double (&sums)[2], Put put) const {
+#pragma unroll
+    for (int e = 0; e < 2; ++e)
+      if (int i = 8 * s + row_, j = 8 * t + 2 * column_ + e; i < rows && j < columns) put(i, j, sums[e]);
+  }
+
+  const double* tile_;
+  int row_ = lane_of_warp() / 4, column_ = lane_of_warp() % 4;
+  double k_[kTilesBelow > 0 ? kTilesBelow : 1][kTiles][2] = {};
+};
+
+// Of a node: the panel gets M and K, by columns. Of K K', whose upper half is a and whose lower half b, a a' and b b'
+// (their lower triangles) and a b'.
+template <int kSize, int kRows, typename Below>
+JAXSCP_CALLED void eliminate(PanelShape<kSize, kRows>, double* tile, Below below, double* panel, double* grams) {
+  constexpr int kHalf = (kRows - kSize) / 2;
+  invert_factor<kSize>(tile);
+  Products<kSize, kRows> products(tile);
+  products.find(below);
+  for (int j = 0; j < kSize; ++j)
+    if (int i = lane_of_warp(); i < kSize) panel[j * kRows + i] = tile[j * kSize + i];
+  products.each([&](int i, int j, double v) { panel[j * kRows + kSize + i] = v; });
+  products.each_of_gram([&](int i, int j, double v) {
+    if (i < kHalf) grams[i * kHalf + j] = v;
+    else if (j >= kHalf) grams[kHalf * kHalf + (i - kHalf) * kHalf + j - kHalf] = v;
+    else grams[2 * kHalf * kHalf + j * kHalf + i - kHalf] = v;
+  });
   __syncwarp();
 }
 
-// out = M v for the panel's rows from ``first`` to ``end``: a lane a row.
-template <int S, int kSize, int kRows>
-JAXSCP_CALLED void times(const double* panel, int first, int end, const double* v, double* out) {
+// out = M' v for the panel's rows from ``kFirst`` to ``kEnd``: four lanes a column. ``v`` begins at row ``kFirst``.
+template <int S, int kRows, int kSize, int kFirst, int kEnd>
+inline void times_transposed(const double* panel, const double* v, double (&sums)[(kSize + 7) / 8][S]) {
+  const int lane = lane_of_warp(), quarter = lane % 4;
+#pragma unroll
+  for (int round = 0; round < (kSize + 7) / 8; ++round) {
+    const int j = 8 * round + lane / 4;
+    for (int s = 0; s < S; ++s) sums[round][s] = 0.0;
+#pragma unroll
+    for (int k = 0; k < (kEnd - kFirst + 3) / 4; ++k)
+      if (int i = 4 * k + quarter; i < kEnd - kFirst && j < kSize)
+        for (int s = 0; s < S; ++s) sums[round][s] += panel[j * kRows + kFirst + i] * v[i * S + s];
+  }
+#pragma unroll
+  for (int round = 0; round < (kSize + 7) / 8; ++round)
+    for (int s = 0; s < S; ++s)
+      for (int apart = 1; apart < 4; apart *= 2)
+        sums[round][s] += __shfl_xor_sync(kEvery, sums[round][s], apart);
+}
+
+// put(j, s, v) of what it found: once for each column.
+template <int S, int kSize, typename Put>
+inline void each_of_columns(const double (&sums)[(kSize + 7) / 8][S], Put put) {
+  const int lane = lane_of_warp();
+#pragma unroll
+  for (int round = 0; round < (kSize + 7) / 8; ++round)
+    if (int j = 8 * round + lane / 4; j < kSize && lane % 4 == 0)
+      for (int s = 0; s < S; ++s) put(j, s, sums[round][s]);
+  __syncwarp();
+}
+
+// out = M v for the panel's rows from ``kFirst`` to ``kEnd``: a lane a row.
+template <int S, int kRows, int kSize, int kFirst, int kEnd>
+inline void times(const double* panel, const double* v, double* out) {
 #pragma unroll 1
-  for (int i = first + lane_of_warp(); i < end; i += kWarp) {
+  for (int i = kFirst + lane_of_warp(); i < kEnd; i += kWarp) {
     double sums[S] = {};
 #pragma unroll
     for (int j = 0; j < kSize; ++j)
       for (int s = 0; s < S; ++s) sums[s] += panel[j * kRows + i] * v[j * S + s];
-    for (int s = 0; s < S; ++s) out[(i - first) * S + s] = sums[s];
+    for (int s = 0; s < S; ++s) out[(i - kFirst) * S + s] = sums[s];
   }
   __syncwarp();
 }
 
+// out = M' right, and K M' right for the rows below.
 template <int S, int kSize, int kRows>
 JAXSCP_CALLED void descend(PanelShape<kSize, kRows>, const double* panel, const double* right, double* out) {
-  double* solved = passed();
-  times_transposed<S, kSize, kRows>(panel, 0, kSize, right, solved);
-  in_team(kSize * S, [&](int i) { out[i] = solved[i]; });
-  times<S, kSize, kRows>(panel, kSize, kRows, solved, out + kSize * S);
+  double* v = passed();
+  double sums[(kSize + 7) / 8][S];
+  in_team(kSize * S, [&](int k) { v[k] = right[k]; });
+  times_transposed<S, kRows, kSize, 0, kSize>(panel, v, sums);
+  __syncwarp();
+  each_of_columns<S, kSize>(sums, [&](int j, int s, double found) { v[j * S + s] = out[j * S + s] = found; });
+  times<S, kRows, kSize, kSize, kRows>(panel, v, out + kSize * S);
 }
 
+// In place: the first rows become M (v - K' v_below).
 template <int S, int kSize, int kRows>
 JAXSCP_CALLED void ascend(PanelShape<kSize, kRows>, const double* panel, double* v) {
+  constexpr int kBelow = kRows - kSize;
+  static_assert(kBelow * S <= kPassed);
   double* left = passed();
-  times_transposed<S, kSize, kRows>(panel, kSize, kRows, v + kSize * S, left);
-  in_team(kSize * S, [&](int i) { left[i] = v[i] - left[i]; });
-  times<S, kSize, kRows>(panel, 0, kSize, left, v);
+  double sums[(kSize + 7) / 8][S];
+  in_team(kBelow * S, [&](int k) { left[k] = v[kSize * S + k]; });
+  times_transposed<S, kRows, kSize, kSize, kRows>(panel, left, sums);
+  __syncwarp();
+  each_of_columns<S, kSize>(sums, [&](int j, int s, double found) { left[j * S + s] = v[j * S + s] - found; });
+  times<S, kRows, kSize, 0, kSize>(panel, left, v);
 }
 
 }  // namespace jaxscp

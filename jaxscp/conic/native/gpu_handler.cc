@@ -29,6 +29,7 @@ struct Driver {
   int (*cuDeviceGetAttribute)(int*, int, int);
   int (*cuModuleLoadData)(CUmodule*, const void*);
   int (*cuModuleGetFunction)(CUfunction*, CUmodule, const char*);
+  int (*cuFuncSetAttribute)(CUfunction, int, int);
   int (*cuLaunchKernel)(CUfunction, unsigned, unsigned, unsigned, unsigned, unsigned, unsigned, unsigned, CUstream,
                         void**, void**);
   int (*cuMemsetD8Async)(unsigned long long, unsigned char, size_t, CUstream);
@@ -46,7 +47,8 @@ struct Driver {
     find(cuStreamGetCtx, "cuStreamGetCtx"), find(cuCtxPushCurrent_v2, "cuCtxPushCurrent_v2");
     find(cuCtxPopCurrent_v2, "cuCtxPopCurrent_v2"), find(cuCtxGetDevice, "cuCtxGetDevice");
     find(cuDeviceGetAttribute, "cuDeviceGetAttribute"), find(cuModuleLoadData, "cuModuleLoadData");
-    find(cuModuleGetFunction, "cuModuleGetFunction"), find(cuLaunchKernel, "cuLaunchKernel");
+    find(cuModuleGetFunction, "cuModuleGetFunction"), find(cuFuncSetAttribute, "cuFuncSetAttribute");
+    find(cuLaunchKernel, "cuLaunchKernel");
     find(cuMemsetD8Async, "cuMemsetD8Async"), find(cuMemcpyDtoHAsync_v2, "cuMemcpyDtoHAsync_v2");
     find(cuStreamSynchronize, "cuStreamSynchronize");
   }
@@ -57,6 +59,7 @@ struct Driver {
 };
 
 constexpr int kMultiprocessors = 16;  // CU_DEVICE_ATTRIBUTE_MULTIPROCESSOR_COUNT
+constexpr int kSharedMost = 8;        // CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES
 constexpr int kOutOfMemory = 2;       // CUDA_ERROR_OUT_OF_MEMORY
 
 // The first failure of the driver, with what was tried.
@@ -78,7 +81,7 @@ struct Failure {
 struct Loaded {
   CUfunction solve = nullptr;
   long long room = 0;  // numbers that a program and its solver take
-  long long version = 0, batch = 0;  // as ``jaxscp_room`` says
+  long long version = 0, batch = 0, shared = 0;  // as ``jaxscp_room`` says
   int multiprocessors = 0;
   long long grid = 1ll << 30;  // at most: that there was memory for before
 };
@@ -90,7 +93,7 @@ Loaded load(const Driver& cuda, ffi::Span<const uint8_t> image, CUstream stream,
   int device = 0;
   auto number = reinterpret_cast<unsigned long long>(scratch);
   void* arguments[] = {&scratch};
-  long long said[3] = {};
+  long long said[4] = {};
   failure(cuda.cuModuleLoadData(&module, image.begin()), "loading it") &&
       failure(cuda.cuModuleGetFunction(&loaded.solve, module, "jaxscp_solve"), "finding it") &&
       failure(cuda.cuModuleGetFunction(&room, module, "jaxscp_room"), "finding it") &&
@@ -99,7 +102,9 @@ Loaded load(const Driver& cuda, ffi::Span<const uint8_t> image, CUstream stream,
       failure(cuda.cuLaunchKernel(room, 1, 1, 1, 1, 1, 1, 0, stream, arguments, nullptr), "launching it") &&
       failure(cuda.cuMemcpyDtoHAsync_v2(said, number, sizeof(said), stream), "asking for its room") &&
       failure(cuda.cuStreamSynchronize(stream), "asking for its room");
-  loaded.room = said[0], loaded.version = said[1], loaded.batch = said[2];
+  loaded.room = said[0], loaded.version = said[1], loaded.batch = said[2], loaded.shared = said[3];
+  if (loaded.version == kVersion)
+    failure(cuda.cuFuncSetAttribute(loaded.solve, kSharedMost, static_cast<int>(loaded.shared)), "sharing memory");
   return loaded;
 }
 
@@ -161,7 +166,7 @@ ffi::Error solve(CUstream stream, ffi::ScratchAllocator scratch, ffi::RemainingA
       void* arguments[] = {&found->batch, &room, &loaded.room, &taken};
       failure(cuda.cuMemsetD8Async(reinterpret_cast<unsigned long long>(taken), 0, kCounter, stream), "starting it") &&
           failure(cuda.cuLaunchKernel(loaded.solve, static_cast<unsigned>(grid), 1, 1, static_cast<unsigned>(*threads),
-                                      1, 1, 0, stream, arguments, nullptr),
+                                      1, 1, static_cast<unsigned>(loaded.shared), stream, arguments, nullptr),
                   "launching it");
     }
   }

@@ -3,12 +3,13 @@
 
 using namespace jaxscp;
 
-// Numbers that a program and its solver take, and what ``Batch`` is to look like.
+// Numbers that a program and its solver take, what ``Batch`` is to look like, and bytes that a block's threads share.
 extern "C" __global__ void jaxscp_room(long long* found) {
   Arena counting;
   Program program(kLayout, counting);
   InteriorPoint solver(program, Settings{}, counting);
   found[0] = counting.used(), found[1] = kVersion, found[2] = sizeof(Batch);
+  found[3] = kSharedRoom * sizeof(double);
 }
 
 extern "C" __global__ void __launch_bounds__(kThreads, JAXSCP_BLOCKS)

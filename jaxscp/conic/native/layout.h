@@ -98,7 +98,6 @@ struct PanelShape {
   static constexpr int size = kSize, rows = kRows;
 };
 inline auto node_panel(const ProgramLayout&) { return PanelShape<kLayout.n, kLayout.n + 2 * kLayout.m>(); }
-inline auto link_panel(const ProgramLayout&) { return PanelShape<kLayout.m, 3 * kLayout.m>(); }  // and its neighbours
 #else
 using ProgramLayout = Layout;
 

@@ -90,14 +90,11 @@ class NewtonSystem {
     const Program& g = program_;
     const int n = g.n, m = g.m;
     share_among_teams(chain_.packs(), [&](int p) {
-      Pack* panel = &panels_[p * rows_ * n];
-      in_team(rows_ * n, [&](int i) { panel[i] = all(0.0); });
-      add_hessian(scaling, p, panel);
-      in_team(n, [&](int i) { entry(node_panel(g), panel, i, i) += regularisation; });
-      spread(g.after, p, panel, n);
-      spread(g.before, p, panel, n + m);
-      eliminate(node_panel(g), panel);
-      grams(node_panel(g), panel, &grams_[p * 3 * m * m]);
+      Pack *panel = &panels_[p * rows_ * n], *room = room_for(node_panel(g), panel);
+      clear(node_panel(g), room);
+      add_hessian(scaling, p, room);
+      in_team(n, [&](int i) { entry(node_panel(g), room, i, i) += regularisation; });
+      eliminate(node_panel(g), room, LinksOf{g, p}, panel, &grams_[p * 3 * m * m]);
     });
     auto gram = [&](int q, int k, int i, int j) {
       return q < 0 ? all(0.0) : g.of_nodes(q, grams_[(q * 3 + k) * m * m + i * m + j]);
@@ -138,20 +135,28 @@ class NewtonSystem {
   }
 
  private:
-  // The matrix's entries, into the panel from a row on.
-  void spread(const Matrix& sparse, int p, Pack* panel, int first) const {
-    Entries a = sparse.at(p);
-    in_team(sparse.entries, [&](int e) {
-      entry(node_panel(program_), panel, first + sparse.line[e], sparse.column[e]) = a[e];
-    });
-  }
+  // The rows below a node's own: of the link before it, and of the one behind.
+  struct LinksOf {
+    const Program& program;
+    int p;
+
+    Pack operator()(int i, int j) const {
+      return i < program.m ? program.after.entry(p, i, j) : program.before.entry(p, i - program.m, j);
+    }
+    // act(i, j, value) for those that are not zero at all nodes
+    template <typename Act>
+    void each(Act act) const {
+      program.after.each(p, act);
+      program.before.each(p, [&](int i, int j, Pack v) { act(program.m + i, j, v); });
+    }
+  };
 
   // Lower triangle of P + G' W^-2 G, the trust region's cone with its bound eliminated.
   void add_hessian(const Scaling& s, int p, Pack* panel) {
     const Program& g = program_;
     const int n = g.n;
     Entries w = g.of_cones(s.w, p);
-    spread(g.hessian, p, panel, 0);
+    g.hessian.each(p, [&](int i, int j, Pack v) { entry(node_panel(g), panel, i, j) = v; });
     Entries weight = g.of_cones(wide_, p);
     in_team(g.r, [&](int i) { weight[i] = 1.0 / (w[i] * w[i]); });
     in_team(g.user_cones, [&](int c) {

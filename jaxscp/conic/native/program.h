@@ -81,6 +81,12 @@ class Matrix {
     for (int e = start[i]; e < start[i + 1]; ++e) total += a[e] * v[column[e]];
     return total;
   }
+  // By a team, act(i, j, value) for every filled entry.
+  template <typename Act>
+  void each(int pack, Act act) const {
+    Entries a = at(pack);
+    in_team(entries, [&](int e) { act(line[e], column[e], a[e]); });
+  }
   // act(i, e) for every filled entry of column j: in row i, the e-th of all.
   template <typename Act>
   void each_of_column(int j, Act act) const {

@@ -1,0 +1,163 @@
+// The Schur complement in the link multipliers, on a GPU: block tridiagonal, eliminated from both ends to the middle by
+// a warp each.
+//
+// Cyclic reduction would give work to more of them, but twice the arithmetic, and each of its rounds waits for memory
+// and for all threads. Here what is needed next is fetched meanwhile, and the other warps are of other programs.
+#pragma once
+
+#include "eliminations.h"
+#include "program.h"
+
+namespace jaxscp {
+
+// Sides of a system that are solved together, at most.
+constexpr int kSides = 2;
+
+class Chain {
+ public:
+  Chain(const Program& program, Arena& arena)
+      : program_(program), blocks_(arena.take(kLinks * 2 * kBlockSize)), inverse_(arena.take(kLinks * kBlockSize)),
+        step_(arena.take(kLinks * kBlockSize)), vector_(arena.take(kLinks * m * kSides)),
+        into_middle_(arena.take(2 * m * kSides)) {}
+
+  int packs() const { return kLinks; }
+
+  // Takes the matrix: diagonal(p, i, j) of its lower triangle, and above(p, i, j) of S_{l,l+1}, zero behind the last.
+  template <typename Diagonal, typename Above>
+  void read(Diagonal diagonal, Above above) {
+    share_kept(kLinks, m * m, [&](int p, int e) {
+      const int i = e / m, j = e % m;
+      if (j <= i) block(p)[j * m + i] = diagonal(p, i, j);
+      // a block's neighbour is towards the middle
+      if (p < kMiddle) neighbour(p)[i * m + j] = above(p, i, j);
+      else if (p + 1 < kLinks) neighbour(p + 1)[j * m + i] = above(p, i, j);
+    });
+  }
+
+  JAXSCP_CALLED void factor() {
+    share_among_teams(2, [&](int end) {
+      double *tile = tile_of_warp(), *update = update_of(end);
+      auto fetched = [&](int t) { return ahead_of(end) + t % 2 * 2 * kBlockSize; };
+      if (count(end) > 0) fetch(fetched(0), block(link(end, 0)), 2 * kBlockSize);
+      for (int t = 0; t < count(end); ++t) {
+        const int l = link(end, t);
+        wait_for_fetched<0>();
+        if (t + 1 < count(end)) fetch(fetched(t + 1), block(link(end, t + 1)), 2 * kBlockSize);
+        const double *here = fetched(t), *next = here + kBlockSize;
+        in_team(m * m, [&](int e) { tile[e] = here[e] - (t > 0 ? update[e] : 0.0); });
+        double *inverse = &inverse_[l * kBlockSize], *step = &step_[l * kBlockSize];
+        invert_factor<m>(tile);
+        Products<m, 2 * m> products(tile);
+        products.find([&](int i, int j) { return next[j * m + i]; });
+        products.each_of_gram([&](int i, int j, double v) { update[j * m + i] = v; });
+        products.each_of_solved([&](int i, int j, double v) { step[j * m + i] = v; });
+        products.each_of_inverse([&](int i, int j, double v) { inverse[j * m + i] = v; });
+        __syncwarp();
+      }
+    });
+    share_among_teams(1, [&](int) {
+      double *tile = tile_of_warp(), *inverse = &inverse_[kMiddle * kBlockSize];
+      in_team(m * m, [&](int e) {
+        double v = block(kMiddle)[e];
+        for (int end = 0; end < 2; ++end)
+          if (count(end) > 0) v -= update_of(end)[e];
+        tile[e] = v;
+      });
+      invert_factor<m>(tile);
+      Products<m, m>(tile).each_of_inverse([&](int i, int j, double v) { inverse[j * m + i] = v; });
+    });
+  }
+
+  // For S right sides: right(p, i, s) gives row i of side s, and ``solution`` what is found.
+  template <int S, typename Right>
+  void solve(Right right) {
+    share_kept(kLinks, m * S, [&](int p, int k) { vector(p)[k / S * kSides + k % S] = right(p, k / S, k % S); });
+    walk<S, false>();
+    share_among_teams(kLinks, [&](int l) {
+      in_team(m * S, [&](int k) {
+        const int at = k / S * kSides + k % S;
+        double v = vector(l)[at];
+        if (l == kMiddle)
+          for (int end = 0; end < 2; ++end)
+            if (count(end) > 0) v += into_middle(end)[at];
+        passed()[k] = v;
+      });
+      double sums[S] = {};
+      multiply<S>(&inverse_[l * kBlockSize], 1, m, passed(), sums);
+      if (lane_of_warp() < m)
+        for (int s = 0; s < S; ++s) vector(l)[lane_of_warp() * kSides + s] = sums[s];
+      __syncwarp();
+    });
+    walk<S, true>();
+  }
+
+  // Row i of side s.
+  Pack solution(int p, int i, int s) const { return vector(p)[i * kSides + s]; }
+
+ private:
+  static constexpr int m = ProgramLayout::m, kLinks = ProgramLayout::nodes + 1, kMiddle = kLinks / 2;
+  static constexpr int kFetched = kAhead / kBlockSize;  // blocks in use or on their way
+
+  // From an end, 0 or 1: how many blocks, and which is the t-th.
+  static int count(int end) { return end == 0 ? kMiddle : kLinks - 1 - kMiddle; }
+  static int link(int end, int t) { return end == 0 ? t : kLinks - 1 - t; }
+
+  // By columns: a block, and what ties it to the one that is eliminated next (whose rows it has).
+  double* block(int l) const { return &blocks_[l * 2 * kBlockSize]; }
+  double* neighbour(int l) const { return block(l) + kBlockSize; }
+  double* vector(int l) const { return &vector_[l * m * kSides]; }
+  double* into_middle(int end) const { return &into_middle_[end * m * kSides]; }
+  static double* update_of(int end) { return ahead_of(end) + 4 * kBlockSize; }
+
+  // A matrix whose entries are ``down`` and ``along`` apart times S vectors side by side: a lane a row.
+  template <int S>
+  static void multiply(const double* matrix, int down, int along, const double* v, double (&sums)[S]) {
+    if (lane_of_warp() >= m) return;
+    const double* row = matrix + lane_of_warp() * down;
+#pragma unroll
+    for (int k = 0; k < m; ++k)
+      for (int s = 0; s < S; ++s) sums[s] += row[k * along] * v[k * S + s];
+  }
+
+  // From block to block, from both ends to the middle: v_next -= T v with what is eliminated; or back: v -= T' v_next.
+  template <int S, bool kBack>
+  JAXSCP_CALLED void walk() {
+    share_among_teams(2, [&](int end) {
+      const int lane = lane_of_warp(), many = count(end);
+      auto at = [&](int i) { return link(end, kBack ? many - 1 - i : i); };
+      auto room = [&](int i) { return ahead_of(end) + i % kFetched * kBlockSize; };
+      auto begin = [&](int i) { fetch(room(i), &step_[at(i) * kBlockSize], i < many ? kBlockSize : 0); };
+      auto next = [&](int i) { return kBack ? vector(at(i)) : i + 1 < many ? vector(at(i + 1)) : into_middle(end); };
+      auto read = [&](const double* from, bool there, double (&to)[S]) {
+        for (int s = 0; s < S; ++s) to[s] = there && lane < m ? from[lane * kSides + s] : 0.0;
+      };
+      auto read_next = [&](int i, double (&to)[S]) { read(next(i), kBack ? i < many : i + 1 < many, to); };
+
+      for (int i = 0; i + 1 < kFetched; ++i) begin(i);
+      double v[S], theirs[S];
+      read(kBack ? vector(kMiddle) : vector(at(0)), true, v);
+      read_next(0, theirs);
+#pragma unroll 1
+      for (int i = 0; i < many; ++i) {
+        double* mine = passed() + i % 2 * m * S;
+        if (lane < m)
+          for (int s = 0; s < S; ++s) mine[lane * S + s] = v[s];
+        wait_for_fetched<kFetched - 2>();
+        begin(i + kFetched - 1);
+        double later[S], sums[S] = {};
+        read_next(i + 1, later);
+        multiply<S>(room(i), kBack ? m : 1, kBack ? 1 : m, mine, sums);
+        for (int s = 0; s < S; ++s) {
+          v[s] = theirs[s] - sums[s], theirs[s] = later[s];
+          if (lane < m) next(i)[lane * kSides + s] = v[s];
+        }
+      }
+      wait_for_fetched<0>();
+    });
+  }
+
+  const Program& program_;
+  Packs blocks_, inverse_, step_, vector_, into_middle_;
+};
+
+}  // namespace jaxscp

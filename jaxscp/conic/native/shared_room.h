@@ -1,0 +1,63 @@
+// What the warps of a block have in shared memory: a tile each for what they eliminate, numbers that their lanes pass to
+// each other, and what the chain's two warps fetch ahead of its use.
+#pragma once
+
+#include "layout.h"
+#include "threads.h"
+
+namespace jaxscp {
+
+constexpr int kWarps = kThreads / kWarp;
+constexpr int kPassed = 128;
+inline double* passed() {
+  __shared__ double numbers[kWarps][kPassed];
+  return numbers[warp_of_block()];
+}
+
+constexpr int larger_of(int a, int b) { return a > b ? a : b; }
+constexpr int kTileSize = larger_of(kLayout.n * kLayout.n, kLayout.m * kLayout.m);
+constexpr int kBlockSize = (kLayout.m * kLayout.m + 1) / 2 * 2;  // of the chain, so that it can be fetched
+constexpr int kAhead = 5 * kBlockSize;                           // of an end of the chain
+// Both ends are eliminated in tiles of two warps; what they fetch is where other warps have theirs.
+constexpr int kSharedRoom = larger_of(kWarps, 2) * kTileSize > 2 * (kTileSize + kAhead)
+                                ? larger_of(kWarps, 2) * kTileSize
+                                : 2 * (kTileSize + kAhead);
+
+#if defined(JAXSCP_EMULATED_GPU)
+inline double* shared_room() {
+  alignas(16) static double room[kSharedRoom];
+  return room;
+}
+inline void fetch(double* to, const double* from, int count) {
+  in_team(count, [&](int i) { to[i] = from[i]; });
+}
+template <int kLeft>
+inline void wait_for_fetched() {
+  __syncwarp();
+}
+#else
+extern __shared__ double2 jaxscp_shared[];
+inline double* shared_room() { return reinterpret_cast<double*>(jaxscp_shared); }
+
+// Begins to copy an even count of numbers into shared memory: both are aligned to pairs.
+inline void fetch(double* to, const double* from, int count) {
+#pragma unroll 4
+  for (int i = 2 * lane_of_warp(); i < count; i += 2 * kWarp)
+    asm volatile("cp.async.cg.shared.global [%0], [%1], 16;" ::"r"(
+                     static_cast<unsigned>(__cvta_generic_to_shared(to + i))),
+                 "l"(__cvta_generic_to_global(from + i))
+                 : "memory");
+  asm volatile("cp.async.commit_group;" ::: "memory");
+}
+// Until no more than so many copies are under way, those that began last.
+template <int kLeft>
+inline void wait_for_fetched() {
+  asm volatile("cp.async.wait_group %0;" ::"n"(kLeft) : "memory");
+  __syncwarp();
+}
+#endif
+
+inline double* tile_of_warp() { return shared_room() + warp_of_block() * kTileSize; }
+inline double* ahead_of(int end) { return shared_room() + 2 * kTileSize + end * kAhead; }
+
+}  // namespace jaxscp
