@@ -3,7 +3,7 @@
 //     [ A  B' ]   [ L  0 ] [ 1   0   ] [ L' K' ]        K = B L'^-1
 //     [ B  0  ] = [ K  1 ] [ 0 -K K' ] [ 0  1  ]
 //
-// A is eliminated and K K' is what the rest gets. Nodes, and links in cyclic reduction, are eliminated by this alone.
+// A is eliminated and K K' is what the rest gets.
 #pragma once
 
 #include <algorithm>
