@@ -264,7 +264,6 @@ class _Newton:
     ):
         self.program, self.iterate = program, iterate
         self.scaling = cones.scaling(iterate.s, iterate.y)
-        self.scaled_point = self.scaling.apply(iterate.y)
         factor = kkt.factorise(program, self.scaling, regularisation)
         self._solve = lambda rx, ry: kkt.solve(program, self.scaling, factor, rx, ry, refinements)
         self.q, self.b = kkt.linear_cost(program), kkt.right_side(program)
@@ -272,28 +271,32 @@ class _Newton:
         self.gradient = tree_axpy(2.0, kkt.times_hessian(program, self.xi), self.q)
 
     def predictor(self, r: Residuals) -> Iterate:
-        """The affine direction; solved together with the embedding's constant one, which both steps share."""
-        square = cones.product(self.scaled_point, self.scaled_point)
-        right, lifted = self._right_side(r, 1.0, square)
-        both = jax.tree.map(lambda u, v: jnp.stack([u, v]), (_negated(self.q), self.b), right)
+        """The affine direction, which aims at s = 0; solved together with the constant one, which both steps share."""
+        both = jax.tree.map(
+            lambda u, v: jnp.stack([u, v]),
+            (_negated(self.q), self.b),
+            self._right_side(r, 1.0, self.iterate.s),
+        )
         both = jax.vmap(self._solve)(*both)
         self.constant, solution = (jax.tree.map(lambda v, i=i: v[i], both) for i in range(2))
         self.slope = self._slope()
-        return self._assemble(r, 1.0, self.iterate.tau * self.iterate.kappa, solution, lifted)
+        return self._assemble(r, 1.0, self.iterate.tau * self.iterate.kappa, solution, self.iterate.s)
 
     def corrector(self, r: Residuals, affine: Iterate, sigma: Scalar) -> Iterate:
         """Mehrotra's combined direction: centring by sigma and second-order correction."""
-        square = cones.product(self.scaled_point, self.scaled_point)
         cross = cones.product(self.scaling.apply_inverse(affine.s), self.scaling.apply(affine.y))
-        target = tree_axpy(-sigma * r.mu, cones.identity(affine.s), tree_axpy(1.0, cross, square))
+        target = tree_axpy(-sigma * r.mu, cones.identity(affine.s), cross)
         target_tau = self.iterate.tau * self.iterate.kappa + affine.tau * affine.kappa - sigma * r.mu
-        right, lifted = self._right_side(r, 1.0 - sigma, target)
-        return self._assemble(r, 1.0 - sigma, target_tau, self._solve(*right), lifted)
+        lifted = self.scaling.apply(cones.divide(self.scaling.apply(self.iterate.y), target))
+        lifted = tree_axpy(1.0, lifted, self.iterate.s)
+        solution = self._solve(*self._right_side(r, 1.0 - sigma, lifted))
+        return self._assemble(r, 1.0 - sigma, target_tau, solution, lifted)
 
-    def _right_side(self, r: Residuals, share: Scalar | float, target: ConeVector):
-        """Residuals reduced by ``share``, scaled complementarity moved by ``-target``."""
-        lifted = self.scaling.apply(cones.divide(self.scaled_point, target))
-        return (jax.tree.map(lambda v: -share * v, r.x), tree_axpy(-share, r.y, lifted)), lifted
+    def _right_side(
+        self, r: Residuals, share: Scalar | float, lifted: ConeVector
+    ) -> tuple[Primal, ConeVector]:
+        """Residuals reduced by ``share``, slacks moved by ``-lifted``."""
+        return jax.tree.map(lambda v: -share * v, r.x), tree_axpy(-share, r.y, lifted)
 
     def _assemble(self, r: Residuals, share, target_tau, solution, lifted: ConeVector) -> Iterate:
         """Add the multiple of the constant direction that the embedding's last equation asks for."""

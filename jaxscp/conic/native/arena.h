@@ -13,10 +13,8 @@ struct Entries {
   double& operator[](int i) const { return first[i * kLayout.packs]; }
   Entries operator+(int i) const { return {first + i * kLayout.packs}; }
 };
-constexpr int kAtOnce = 4;
 #else
 using Entries = Pack*;
-constexpr int kAtOnce = 1;
 #endif
 
 // An array in the arena; copies are of the same numbers.
@@ -55,31 +53,5 @@ class Arena {
   Pack* memory_;
   long long used_ = 0;
 };
-
-// out[i] = value(i) from ``first`` on; some at once, so that what one reads need not wait until another is written.
-template <typename Value>
-inline void put(Entries out, int first, int end, Value value) {
-#pragma unroll 1
-  for (int i = first; i < end; i += kAtOnce) {
-    Pack v[kAtOnce];
-#pragma unroll
-    for (int k = 0; k < kAtOnce; ++k)
-      if (i + k < end) v[k] = value(i + k);
-#pragma unroll
-    for (int k = 0; k < kAtOnce; ++k)
-      if (i + k < end) out[i + k] = v[k];
-  }
-}
-
-inline Pack dot(Entries a, Entries b, int size) {
-  Pack total[4] = {all(0.0), all(0.0), all(0.0), all(0.0)};  // four sums in turn: none waits for the one before
-  int i = 0;
-#pragma unroll 1
-  for (; i + 4 <= size; i += 4)
-    for (int k = 0; k < 4; ++k) total[k] += a[i + k] * b[i + k];
-#pragma unroll 1
-  for (; i < size; ++i) total[0] += a[i] * b[i];
-  return (total[0] + total[1]) + (total[2] + total[3]);
-}
 
 }  // namespace jaxscp

@@ -44,7 +44,7 @@ inline void put_cones(const Program& p, Packs from, int cones, int width, double
   share(cones * width, [&](int i) { to[i] = 0.0; });
   auto group = [&](int offset, ConeShape shape, int places) {
     int each = shape.count * shape.dimension;
-    share(places, each, [&](int k, int i) {
+    share(places, Parts{each}, [&](int k, int i) {
       int cone = k * shape.count + i / shape.dimension;
       to[cone * width + i % shape.dimension] = get(p.of_cones(from, k / kWidth)[offset + i], k % kWidth);
     });

@@ -27,7 +27,7 @@ class Chain {
   // Takes the matrix: diagonal(p, i, j) of its lower triangle, and above(p, i, j) of S_{l,l+1}.
   template <typename Diagonal, typename Above>
   void read(Diagonal diagonal, Above above) {
-    share(packs_, m_ * height_, [&](int p, int k) {
+    share(packs_, Parts{m_ * height_}, [&](int p, int k) {
       const int j = k / height_, h = k % height_;
       auto to = [&](int first) { return [=, this](int l) -> Pack& { return panel(l)[j * column() + first + h]; }; };
       if (h >= j / kWidth) to_links(p, h, 0, links_, [&](int i) { return diagonal(p, i, j); }, to(0));
@@ -57,7 +57,7 @@ class Chain {
   // For S right sides: right(p, i, s) gives row i of side s, and ``solution`` what is found.
   template <int S, typename Right>
   void solve(Right right) {
-    share(packs_, height_ * S, [&](int p, int k) {
+    share(packs_, Parts{height_ * S}, [&](int p, int k) {
       const int h = k / S, s = k % S;
       to_links(p, h, 0, links_, [&](int i) { return right(p, i, s); }, [&](int l) -> Pack& { return vector(l, s)[h]; });
     });
@@ -76,7 +76,7 @@ class Chain {
     share_among_teams(2, [&](int end) {
       for (int t = count(end) - 1, next = middle_; t >= 0; --t) ascend<S>(link(end, t), next), next = link(end, t);
     });
-    share(packs_, height_ * S, [&](int p, int k) {
+    share(packs_, Parts{height_ * S}, [&](int p, int k) {
       const int h = k / S, s = k % S;
       Pack v[kWidth];
       for (int lane = 0; lane < kWidth; ++lane) {

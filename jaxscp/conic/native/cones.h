@@ -9,6 +9,10 @@ namespace jaxscp::soc {
 
 constexpr double kTiny = 1e-300;
 
+inline Pack dot(Entries a, Entries b, int size) {
+  return sum(0, size, [&](int i) { return a[i] * b[i]; });
+}
+
 inline Pack positive(Pack v) { return larger(v, all(kTiny)); }
 
 JAXSCP_CALLED inline Pack tail_norm(Entries v, int d) { return root(dot(v + 1, v + 1, d - 1)); }
@@ -19,11 +23,11 @@ JAXSCP_CALLED inline Pack determinant(Entries v, int d) {
   return (v[0] - norm) * (v[0] + norm);
 }
 
-// out = a o b
-JAXSCP_CALLED inline void product(Entries a, Entries b, int d, Entries out) {
+// out = a o b - less e
+JAXSCP_CALLED inline void product(Entries a, Entries b, int d, Pack less, Entries out) {
   Pack head = dot(a, b, d), a0 = a[0], b0 = b[0];
   put(out, 1, d, [&](int i) { return a0 * b[i] + b0 * a[i]; });
-  out[0] = head;
+  out[0] = head - less;
 }
 
 // The u with a o u = b, for a inside the cone.
@@ -39,12 +43,11 @@ JAXSCP_CALLED inline Pack step_to_boundary(Entries point, Entries direction, int
   Pack over = 1.0 / root(positive(determinant(point, d)));
   Pack p0 = point[0] * over, d0 = direction[0] * over;
   Pack head = p0 * d0 - dot(point + 1, direction + 1, d - 1) * over * over;
-  Pack share = (head + d0) / (p0 + 1.0), square = all(0.0);
-#pragma unroll 2
-  for (int i = 1; i < d; ++i) {
+  Pack share = (head + d0) / (p0 + 1.0);
+  Pack square = sum(1, d, [&](int i) {
     Pack tail = (direction[i] - share * point[i]) * over;
-    square += tail * tail;
-  }
+    return tail * tail;
+  });
   return 1.0 / positive(root(square) - head);
 }
 
@@ -73,6 +76,12 @@ JAXSCP_CALLED inline void square(Entries w, Pack eta, Entries v, int d, Entries 
   Pack by = eta * eta, along = 2.0 * dot(w, v, d);
   out[0] = by * (w[0] * along - v[0]);
   put(out, 1, d, [&](int i) { return by * (w[i] * along + v[i]); });
+}
+
+// v'W^2 v.
+JAXSCP_CALLED inline Pack scaled_square(Entries w, Pack eta, Entries v, int d) {
+  Pack along = dot(w, v, d), tail = dot(v + 1, v + 1, d - 1);
+  return eta * eta * (2.0 * along * along - v[0] * v[0] + tail);
 }
 
 // W^-2 v.

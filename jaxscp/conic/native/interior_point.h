@@ -19,10 +19,10 @@ struct Iterate {
 };
 
 struct Residuals {
-  Packs x, y;
+  Packs x, y, curved;  // ``curved``: P x
   double tau = 0.0, mu = 0.0, error = 0.0, infeasibility = 0.0, unboundedness = 0.0;
   Residuals(const Program& p, Arena& arena)
-      : x(arena.take(p.packs * p.primal.size)), y(arena.take(p.packs * p.cone.size)) {}
+      : x(arena.take(p.packs * p.primal.size)), y(arena.take(p.packs * p.cone.size)), curved(arena.take(x.size)) {}
 };
 
 class InteriorPoint {
@@ -31,15 +31,14 @@ class InteriorPoint {
       : program_(program), settings_(settings), system_(program, arena), scaling_(program, arena),
         iterate_(program, arena), next_(program, arena), affine_(program, arena), direction_(program, arena),
         constant_(program, arena), residuals_(program, arena), new_residuals_(program, arena) {
-    point_ = arena.take(iterate_.y.size), square_ = arena.take(iterate_.y.size);
-    target_ = arena.take(iterate_.y.size), lifted_ = arena.take(iterate_.y.size), ry_ = arena.take(iterate_.y.size);
-    dual_ = arena.take(iterate_.x.size), hessian_x_ = arena.take(iterate_.x.size), rx_ = arena.take(iterate_.x.size);
-    xi_ = arena.take(iterate_.x.size), gradient_ = arena.take(iterate_.x.size);
+    for (Packs* v : {&lifted_, &ry_, &aimed_, &other_}) *v = arena.take(iterate_.y.size);
+    for (Packs* v : {&rx_, &against_}) *v = arena.take(iterate_.x.size);
   }
 
   void run(double cost_scale, double tolerance) {
     double q = most(1.0, program_.largest_of(program_.q, program_.primal));
     double b = most(1.0, program_.largest_of(program_.b, program_.cone));
+    share(against_.size, [&](int i) { against_[i] = -program_.q[i]; });
     once([&] {
       cost_scale_ = cost_scale, tolerance_ = tolerance, size_q_ = q, size_b_ = b;
       iterations = 0;
@@ -81,8 +80,7 @@ class InteriorPoint {
     const Program& g = program_;
     scaling_.set_unit();
     system_.factor(scaling_, settings_.regularisation);
-    share(rx_.size, [&](int i) { rx_[i] = -g.q[i]; });
-    system_.solve<1>(scaling_, settings_.refinements, {{rx_, g.b, iterate_.x, iterate_.y}});
+    system_.solve<1>(scaling_, settings_.refinements, {{against_, g.b, iterate_.x, iterate_.y}});
     share(iterate_.s.size, [&](int i) { iterate_.s[i] = -iterate_.y[i]; });
     g.clear_zero_cone(iterate_.s);
     lift_inside(iterate_.s);
@@ -113,84 +111,137 @@ class InteriorPoint {
     const Program& g = program_;
     const Residuals& r = residuals_;
     const Iterate& old = iterate_;
-    scaling_.set(old.s, old.y);
-    scaling_.apply(old.y, point_);
-    system_.factor(scaling_, settings_.regularisation);
-    share(xi_.size, [&](int i) { xi_[i] = old.x[i] / old.tau; });
-    g.times_hessian(xi_, gradient_);
-    share(gradient_.size, [&](int i) { gradient_[i] = 2.0 * gradient_[i] + g.q[i]; });
-
-    // the affine direction, and the constant one, which both steps share
-    jordan(point_, point_, square_);
-    right_side(1.0, square_);
-    share(xi_.size, [&](int i) { dual_[i] = -g.q[i]; });
     const int rounds = refinements();
+    scaling_.set(old.s, old.y);
+    system_.factor(scaling_, settings_.regularisation);
+
+    // the affine direction, which aims at s = 0, and the constant one, which both steps share
+    share(rx_.size + ry_.size, [&](int i) {
+      if (i < rx_.size) rx_[i] = -r.x[i];
+      else i -= rx_.size, ry_[i] = old.s[i] - r.y[i];
+    });
     system_.solve<2>(scaling_, rounds,
-                     {{dual_, g.b, constant_.x, constant_.y}, {rx_, ry_, affine_.x, affine_.y}});
-    double constant_slope = slope();
-    once([&] { slope_ = constant_slope; });
-    assemble(1.0, old.tau * old.kappa, affine_);
-    double left = 1.0 - longest_step(old, affine_), sigma = left * left * left;
+                     {{against_, g.b, constant_.x, constant_.y}, {rx_, ry_, affine_.x, affine_.y}});
+    const double slope = find_slope();
+    const double left = 1.0 - assemble(1.0, slope, old.tau * old.kappa, old.s, affine_), sigma = left * left * left;
 
     // Mehrotra's combined direction: centring by sigma and second-order correction
-    scaling_.apply_inverse(affine_.s, lifted_);
-    scaling_.apply(affine_.y, target_);
-    jordan(lifted_, target_, target_);
-    share(target_.size, [&](int i) { target_[i] += square_[i]; });
-    double centre = sigma * r.mu;
-    g.each([&](int p, int i) { at(target_, p)[i] -= centre; },
-           [&](int p, int i, int, int) { at(target_, p)[i] -= centre; });
-    right_side(1.0 - sigma, target_);
+    correct(1.0 - sigma, sigma * r.mu);
     system_.solve<1>(scaling_, rounds, {{rx_, ry_, direction_.x, direction_.y}});
-    assemble(1.0 - sigma, old.tau * old.kappa + affine_.tau * affine_.kappa - sigma * r.mu, direction_);
-    take(0.99 * longest_step(old, direction_));
+    const double target_tau = old.tau * old.kappa + affine_.tau * affine_.kappa - sigma * r.mu;
+    take(0.99 * assemble(1.0 - sigma, slope, target_tau, lifted_, direction_));
   }
 
-  // Residuals reduced by ``part``, scaled complementarity moved by -target.
-  JAXSCP_CALLED void right_side(double part, Packs target) {
-    const Residuals& r = residuals_;
-    program_.each([&](int p, int i) { at(ry_, p)[i] = at(target, p)[i] / at(point_, p)[i]; },
-                  [&](int p, int i, int d, int) {
-                    soc::divide(at(point_, p) + i, at(target, p) + i, d, at(ry_, p) + i);
-                  });
-    scaling_.apply(ry_, lifted_);
-    share(rx_.size, [&](int i) { rx_[i] = -part * r.x[i]; });
-    share(ry_.size, [&](int i) { ry_[i] = lifted_[i] - part * r.y[i]; });
-  }
-
-  // Add the multiple of the constant direction that the embedding's last equation asks for.
-  JAXSCP_CALLED void assemble(double part, double target_tau, Iterate& out) {
+  // The combined right side, residuals reduced by ``part``:  lifted = s + W (lambda \ (W^-1 ds o W dy - centre e)),
+  // where lambda = W y and ds, dy are the affine direction's.
+  JAXSCP_CALLED void correct(double part, double centre) {
     const Program& g = program_;
-    double defect = -part * residuals_.tau + target_tau / iterate_.tau - g.dot(gradient_, out.x, g.primal) -
-                    g.dot(g.b, out.y, g.cone);
-    double tau = defect / slope_;
-    share(out.x.size, [&](int i) { out.x[i] += tau * constant_.x[i]; });
-    share(out.y.size, [&](int i) { out.y[i] += tau * constant_.y[i]; });
-    scaling_.square(out.y, out.s);
-    share(out.s.size, [&](int i) { out.s[i] = -(lifted_[i] + out.s[i]); });
-    once([&] {
-      out.tau = tau;
-      out.kappa = -(target_tau + iterate_.kappa * tau) / iterate_.tau;
+    const Residuals& r = residuals_;
+    share(g.packs, g.parts(), [&](int p, int k) {
+      Entries s = at(iterate_.s, p), y = at(iterate_.y, p), ds = at(affine_.s, p), dy = at(affine_.y, p);
+      Entries w = at(scaling_.w, p), lifted = at(lifted_, p), lacks = at(r.y, p), ry = at(ry_, p);
+      g.part(k,
+             [&](int i) {
+               lifted[i] = s[i] + (ds[i] * dy[i] - centre) / y[i];
+               ry[i] = lifted[i] - part * lacks[i];
+             },
+             [&](int i, int d, int c) {
+               Entries aimed = at(aimed_, p) + i, other = at(other_, p) + i;
+               const Pack eta = scaling_.eta_of(p, c);
+               soc::scale(w + i, eta, -1.0, ds + i, d, aimed);
+               soc::scale(w + i, eta, 1.0, dy + i, d, other);
+               soc::product(aimed, other, d, all(centre), aimed);
+               soc::scale(w + i, eta, 1.0, y + i, d, other);
+               soc::divide(other, aimed, d, aimed);
+               soc::scale(w + i, eta, 1.0, aimed, d, aimed);
+               put(lifted, i, i + d, [&](int j) { return s[j] + aimed[j - i]; });
+               put(ry, i, i + d, [&](int j) { return lifted[j] - part * lacks[j]; });
+             },
+             [&](int i) { ry[i] = -part * lacks[i]; },
+             [&](int i) { g.of_primal(rx_, p)[i] = -part * g.of_primal(r.x, p)[i]; });
     });
   }
 
-  // Derivative of the embedding's last equation along the constant direction; always negative.
-  JAXSCP_CALLED double slope() {
+  // Adds to a solution the multiple of the constant direction that the embedding's last equation asks for, and finds
+  // what is missing of the direction. Returns the longest step along it, at most one, that stays in the cones.
+  JAXSCP_CALLED double assemble(double part, double slope, double target_tau, Packs lifted, Iterate& out) {
     const Program& g = program_;
-    share(dual_.size, [&](int i) { dual_[i] = constant_.x[i] - xi_[i]; });
-    g.times_hessian(dual_, hessian_x_);
-    scaling_.square(constant_.y, target_);
-    return -(g.dot(dual_, hessian_x_, g.primal) + g.dot(constant_.y, target_, g.cone) + iterate_.kappa / iterate_.tau);
+    const Iterate& old = iterate_;
+    const Residuals& r = residuals_;
+    using Total = Totals<1, 0>;
+    const double along = fold(g.packs, Parts{g.primal.size + g.cone.size}, Total::none(), [&](int p, int k, Total& found) {
+      if (k < g.primal.size) {
+        Pack gradient = 2.0 / old.tau * g.of_primal(r.curved, p)[k] + g.of_primal(g.q, p)[k];
+        found.add(0, g.of_places(p, k, g.primal, gradient * g.of_primal(out.x, p)[k]));
+      } else {
+        const int i = k - g.primal.size;
+        found.add(0, g.of_places(p, i, g.cone, at(g.b, p)[i] * at(out.y, p)[i]));
+      }
+    }).sum(0);
+    const double tau = (target_tau / old.tau - part * r.tau - along) / slope;
+    const double kappa = -(target_tau + old.kappa * tau) / old.tau;
+    once([&] { out.tau = tau, out.kappa = kappa; });
+
+    const double step = fold(g.packs, g.parts(), Least{all(1.0)}, [&](int p, int k, Least& found) {
+      Entries s = at(old.s, p), y = at(old.y, p), ds = at(out.s, p), dy = at(out.y, p);
+      Entries w = at(scaling_.w, p), constant = at(constant_.y, p), lift = at(lifted, p);
+      auto see = [&](int of, Pack step) { found.see(where(within(p, of), step, all(1.0))); };
+      g.part(k,
+             [&](int i) {
+               dy[i] += tau * constant[i];
+               ds[i] = -(lift[i] + w[i] * w[i] * dy[i]);
+               auto bound = [](Pack v, Pack d) { return where(d < 0.0, -v / d, all(1.0)); };
+               see(g.nodes, smaller(bound(s[i], ds[i]), bound(y[i], dy[i])));
+             },
+             [&](int i, int d, int c) {
+               put(dy, i, i + d, [&](int j) { return dy[j] + tau * constant[j]; });
+               soc::square(w + i, scaling_.eta_of(p, c), dy + i, d, ds + i);
+               put(ds, i, i + d, [&](int j) { return -(lift[j] + ds[j]); });
+               Pack far = smaller(soc::step_to_boundary(s + i, ds + i, d), soc::step_to_boundary(y + i, dy + i, d));
+               see(g.cone_at(c).of_link ? g.nodes + 1 : g.nodes, far);
+             },
+             [&](int i) { dy[i] += tau * constant[i], ds[i] = all(0.0); },
+             [&](int i) { g.of_primal(out.x, p)[i] += tau * g.of_primal(constant_.x, p)[i]; });
+    }).value();
+    auto bound = [](double v, double d) { return d < 0.0 ? -v / d : 1.0; };
+    return least(step, least(bound(old.tau, tau), bound(old.kappa, kappa)));
+  }
+
+  // Derivative of the embedding's last equation along the constant direction; always negative.
+  JAXSCP_CALLED double find_slope() {
+    const Program& g = program_;
+    const double over = 1.0 / iterate_.tau;
+    using Total = Totals<1, 0>;
+    const double curvature = fold(g.packs, Parts{g.n + g.r, g.cone_count}, Total::none(), [&](int p, int k, Total& found) {
+      Entries w = at(scaling_.w, p), y = at(constant_.y, p);
+      if (k < g.n) {
+        Entries x = g.of_primal(iterate_.x, p), along = g.of_primal(constant_.x, p);
+        auto apart = [&](int i) { return along[i] - over * x[i]; };
+        found.add(0, g.of_nodes(p, apart(k) * g.hessian.add_transposed(p, k, all(0.0), apart)));
+      } else if (const int i = k - g.n; i < g.r) {
+        found.add(0, g.of_nodes(p, w[i] * w[i] * y[i] * y[i]));
+      } else {
+        auto [offset, d, of_link] = g.cone_at(i - g.r);
+        Pack norm = soc::scaled_square(w + offset, scaling_.eta_of(p, i - g.r), y + offset, d);
+        found.add(0, once_of_cone(of_link ? g.of_links(p, norm) : g.of_nodes(p, norm)));
+      }
+    }).sum(0);
+    return -(curvature + iterate_.kappa / iterate_.tau);
   }
 
   JAXSCP_CALLED void take(double length) {
     const Iterate &old = iterate_, &d = direction_;
     double tau = old.tau + length * d.tau, kappa = old.kappa + length * d.kappa, unit = 1.0 / most(tau, kappa);
     once([&] { next_.tau = unit * tau, next_.kappa = unit * kappa; });
-    auto move = [&](Packs from, Packs along, Packs to) {
-      share(to.size, [&](int i) { to[i] = unit * (from[i] + length * along[i]); });
-    };
-    move(old.x, d.x, next_.x), move(old.y, d.y, next_.y), move(old.s, d.s, next_.s);
+    const int primal = next_.x.size, cone = next_.y.size;
+    share(primal + 2 * cone, [&](int i) {
+      auto move = [&](Packs from, Packs along, Packs to) { to[i] = unit * (from[i] + length * along[i]); };
+      if (i < primal) return move(old.x, d.x, next_.x);
+      i -= primal;
+      if (i < cone) return move(old.y, d.y, next_.y);
+      i -= cone;
+      move(old.s, d.s, next_.s);
+    });
     measure(next_, new_residuals_);
     once([&] {
       double error = new_residuals_.error, before = residuals_.error;
@@ -207,61 +258,46 @@ class InteriorPoint {
 
   JAXSCP_CALLED void measure(const Iterate& v, Residuals& r) {
     const Program& g = program_;
-    g.times_hessian(v.x, hessian_x_);
-    g.times_constraints_transposed(v.y, dual_);
-    g.times_constraints(v.x, r.y);
-    share(r.y.size, [&](int i) { r.y[i] += v.s[i]; });
-    double dual = g.largest_of(dual_, g.primal), primal = g.largest_of(r.y, g.cone);
-    share(r.x.size, [&](int i) { r.x[i] = hessian_x_[i] + dual_[i] + v.tau * g.q[i]; });
-    share(r.y.size, [&](int i) { r.y[i] -= v.tau * g.b[i]; });
-    double quadratic = g.dot(v.x, hessian_x_, g.primal), linear = g.dot(g.q, v.x, g.primal);
-    double offset = g.dot(g.b, v.y, g.cone);
-    double mu = (g.dot(v.s, v.y, g.cone) + v.tau * v.kappa) / g.degree;
-
-    double primal_cost = (0.5 * quadratic / v.tau + linear) / v.tau;
-    double dual_cost = (-0.5 * quadratic / v.tau - offset) / v.tau;
+    g.times(v.x, v.y, r.curved, r.y, r.x);
+    enum { kQuadratic, kLinear, kOffset, kComplementarity, kSums };
+    enum { kDual, kDualLack, kCurved, kPrimal, kPrimalLack, kLargest };
+    using Total = Totals<kSums, kLargest>;
+    Total found = fold(g.packs, Parts{g.primal.size + g.cone.size}, Total::none(), [&](int p, int k, Total& to) {
+      if (k < g.primal.size) {
+        auto counted = [&](Pack of) { return g.of_places(p, k, g.primal, of); };
+        Pack x = g.of_primal(v.x, p)[k], q = g.of_primal(g.q, p)[k], curved = g.of_primal(r.curved, p)[k];
+        Pack& lack = g.of_primal(r.x, p)[k];
+        to.see(kDual, counted(magnitude(lack))), to.see(kCurved, counted(magnitude(curved)));
+        lack = curved + lack + v.tau * q;
+        to.see(kDualLack, counted(magnitude(lack)));
+        to.add(kQuadratic, counted(x * curved)), to.add(kLinear, counted(q * x));
+      } else {
+        const int i = k - g.primal.size;
+        auto counted = [&](Pack of) { return g.of_places(p, i, g.cone, of); };
+        Pack y = at(v.y, p)[i], s = at(v.s, p)[i], b = at(g.b, p)[i];
+        Pack &lack = at(r.y, p)[i], primal = lack + s;
+        lack = primal - v.tau * b;
+        to.see(kPrimal, counted(magnitude(primal))), to.see(kPrimalLack, counted(magnitude(lack)));
+        to.add(kOffset, counted(b * y)), to.add(kComplementarity, counted(s * y));
+      }
+    });
+    const double quadratic = found.sum(kQuadratic), linear = found.sum(kLinear), offset = found.sum(kOffset);
+    const double mu = (found.sum(kComplementarity) + v.tau * v.kappa) / g.degree;
+    const double primal_cost = (0.5 * quadratic / v.tau + linear) / v.tau;
+    const double dual_cost = (-0.5 * quadratic / v.tau - offset) / v.tau;
     // The gap is judged in the user's unit of cost, the residuals in equilibrated units.
-    double gap = fabs(primal_cost - dual_cost) / most(cost_scale_, least(fabs(primal_cost), fabs(dual_cost)));
-    double primal_error = g.largest_of(r.y, g.cone) / (v.tau * size_b_);
-    double dual_error = g.largest_of(r.x, g.primal) / (v.tau * size_q_);
-    double curved = g.largest_of(hessian_x_, g.primal);
+    const double gap = fabs(primal_cost - dual_cost) / most(cost_scale_, least(fabs(primal_cost), fabs(dual_cost)));
+    const double primal_error = found.largest(kPrimalLack) / (v.tau * size_b_);
+    const double dual_error = found.largest(kDualLack) / (v.tau * size_q_);
     once([&] {
       r.tau = linear + offset + v.kappa + quadratic / v.tau;
       r.mu = mu;
       r.error = most(gap, most(primal_error, dual_error));
       // a maximum leaves NaN out: sums do not
       if (!is_finite(gap) || !is_finite(mu)) r.error = sqrt(-1.0);  // not a number
-      r.infeasibility = dual / most(-offset, soc::kTiny);
-      r.unboundedness = most(curved, primal) / most(-linear, soc::kTiny);
+      r.infeasibility = found.largest(kDual) / most(-offset, soc::kTiny);
+      r.unboundedness = most(found.largest(kCurved), found.largest(kPrimal)) / most(-linear, soc::kTiny);
     });
-  }
-
-  // a o b; zero on the zero cone
-  JAXSCP_CALLED void jordan(Packs a, Packs b, Packs out) const {
-    program_.clear_zero_cone(out);
-    program_.each([&](int p, int i) { at(out, p)[i] = at(a, p)[i] * at(b, p)[i]; },
-                  [&](int p, int i, int d, int) { soc::product(at(a, p) + i, at(b, p) + i, d, at(out, p) + i); });
-  }
-
-  // Largest step, at most one, that keeps the iterate in its cone.
-  JAXSCP_CALLED double longest_step(const Iterate& from, const Iterate& along) const {
-    const Program& g = program_;
-    auto within = [&](Packs v, Packs d, double step) {
-      return least_of(g.packs, g.r + g.cone_count, step, [&](int p, int k) {
-        Pack one = all(1.0);
-        if (k < g.r) {
-          Pack from = at(v, p)[k], along = at(d, p)[k];
-          return where(jaxscp::within(p, g.nodes), along < 0.0 ? -from / along : one, one);
-        }
-        auto [offset, dimension, of_link] = g.cone_at(k - g.r);
-        Pack far = soc::step_to_boundary(at(v, p) + offset, at(d, p) + offset, dimension);
-        return where(jaxscp::within(p, of_link ? g.nodes + 1 : g.nodes), far, one);
-      });
-    };
-    double step = within(from.y, along.y, within(from.s, along.s, 1.0));
-    if (along.tau < 0) step = least(step, -from.tau / along.tau);
-    if (along.kappa < 0) step = least(step, -from.kappa / along.kappa);
-    return step;
   }
 
   template <typename T>
@@ -281,8 +317,9 @@ class InteriorPoint {
   Scaling scaling_;
   Iterate iterate_, next_, affine_, direction_, constant_;
   Residuals residuals_, new_residuals_;
-  Packs point_, square_, target_, lifted_, ry_, dual_, hessian_x_, rx_, xi_, gradient_;
-  double cost_scale_ = 1.0, tolerance_ = 0.0, size_q_ = 1.0, size_b_ = 1.0, slope_ = 0.0;
+  Packs rx_, ry_, lifted_, against_;  // ``against_``: -q
+  Packs aimed_, other_;               // of a cone while it is at work
+  double cost_scale_ = 1.0, tolerance_ = 0.0, size_q_ = 1.0, size_b_ = 1.0;
   bool started_ = false;
 };
 

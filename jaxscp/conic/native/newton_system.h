@@ -31,29 +31,6 @@ class Scaling {
                   });
   }
 
-  // out = W v, and zero on the zero cone
-  JAXSCP_CALLED void apply(Packs v, Packs out) const {
-    program_.clear_zero_cone(out);
-    program_.each([&](int p, int i) { at(out, p)[i] = at(w, p)[i] * at(v, p)[i]; },
-                  [&](int p, int i, int d, int c) {
-                    soc::scale(at(w, p) + i, eta_of(p, c), 1.0, at(v, p) + i, d, at(out, p) + i);
-                  });
-  }
-  JAXSCP_CALLED void apply_inverse(Packs v, Packs out) const {
-    program_.clear_zero_cone(out);
-    program_.each([&](int p, int i) { at(out, p)[i] = at(v, p)[i] / at(w, p)[i]; },
-                  [&](int p, int i, int d, int c) {
-                    soc::scale(at(w, p) + i, eta_of(p, c), -1.0, at(v, p) + i, d, at(out, p) + i);
-                  });
-  }
-  JAXSCP_CALLED void square(Packs v, Packs out) const {
-    program_.clear_zero_cone(out);
-    program_.each([&](int p, int i) { at(out, p)[i] = at(w, p)[i] * at(w, p)[i] * at(v, p)[i]; },
-                  [&](int p, int i, int d, int c) {
-                    soc::square(at(w, p) + i, eta_of(p, c), at(v, p) + i, d, at(out, p) + i);
-                  });
-  }
-
   Pack eta_of(int p, int cone) const { return eta.of(p, program_.cone_count)[cone]; }
 
  private:
@@ -71,9 +48,9 @@ class NewtonSystem {
         panels_(arena.take(program.packs * rows_ * program.n)),
         grams_(arena.take(program.packs * 3 * program.m * program.m)),
         right_(arena.take(program.packs * program.n * kSides)),
-        below_(arena.take(program.packs * rows_ * kSides)),
-        wide_(arena.take(program.packs * program.cone.size)) {
+        below_(arena.take(program.packs * rows_ * kSides)) {
     for (int s = 0; s < kSides; ++s) {
+      wide_[s] = arena.take(program.packs * program.cone.size);
       rx_[s] = arena.take(program.packs * program.primal.size), dx_[s] = arena.take(rx_[s].size);
       ry_[s] = arena.take(program.packs * program.cone.size), dy_[s] = arena.take(ry_[s].size);
       trust_shift_[s] = arena.take(program.packs * program.n);
@@ -116,25 +93,40 @@ class NewtonSystem {
     for (int round = 0; round < refinements; ++round) {
       Side lacks[S];
       for (int s = 0; s < S; ++s) {
-        const Side& side = sides[s];
-        Packs rx = rx_[s], ry = ry_[s], dx = dx_[s], dy = dy_[s];
-        program_.times_hessian(side.x, rx);
-        program_.times_constraints_transposed(side.y, dx);
-        share(rx.size, [&](int i) { rx[i] = side.rx[i] - (rx[i] + dx[i]); });
-        program_.times_constraints(side.x, ry);
-        scaling.square(side.y, dy);
-        share(ry.size, [&](int i) { ry[i] = side.ry[i] - (ry[i] - dy[i]); });
-        lacks[s] = {rx, ry, dx, dy};
+        program_.times(sides[s].x, sides[s].y, rx_[s], ry_[s], dx_[s]);
+        lacks[s] = {rx_[s], ry_[s], dx_[s], dy_[s]};
       }
+      share(program_.packs, program_.parts(S), [&](int p, int k) {
+        lack(scaling, sides[k % S], lacks[k % S], p, k / S);
+      });
       solve_once<S>(scaling, lacks);
-      for (int s = 0; s < S; ++s) {
-        share(dx_[s].size, [&](int i) { sides[s].x[i] += dx_[s][i]; });
-        share(dy_[s].size, [&](int i) { sides[s].y[i] += dy_[s][i]; });
-      }
+      const int rows = dx_[0].size, all_rows = rows + dy_[0].size;
+      share(all_rows * S, [&](int k) {
+        const int s = k / all_rows, i = k % all_rows;
+        if (i < rows) sides[s].x[i] += dx_[s][i];
+        else sides[s].y[i - rows] += dy_[s][i - rows];
+      });
     }
   }
 
  private:
+  // Of a right side what its solution leaves, at part k of a place. ``to`` has P x, A x and A'y in rx, ry and x.
+  void lack(const Scaling& scaling, const Side& side, const Side& to, int p, int k) const {
+    const Program& g = program_;
+    Entries ry = g.of_cones(side.ry, p), y = g.of_cones(side.y, p), w = g.of_cones(scaling.w, p);
+    Entries out = g.of_cones(to.ry, p), square = g.of_cones(to.y, p);
+    g.part(k, [&](int i) { out[i] = ry[i] - (out[i] - w[i] * w[i] * y[i]); },
+           [&](int i, int d, int c) {
+             soc::square(w + i, scaling.eta_of(p, c), y + i, d, square + i);
+             put(out, i, i + d, [&](int j) { return ry[j] - (out[j] - square[j]); });
+           },
+           [&](int i) { out[i] = ry[i] - out[i]; },
+           [&](int i) {
+             Entries px = g.of_primal(to.rx, p);
+             px[i] = g.of_primal(side.rx, p)[i] - (px[i] + g.of_primal(to.x, p)[i]);
+           });
+  }
+
   // The rows below a node's own: of the link before it, and of the one behind.
   struct LinksOf {
     const Program& program;
@@ -157,7 +149,7 @@ class NewtonSystem {
     const int n = g.n;
     Entries w = g.of_cones(s.w, p);
     g.hessian.each(p, [&](int i, int j, Pack v) { entry(node_panel(g), panel, i, j) = v; });
-    Entries weight = g.of_cones(wide_, p);
+    Entries weight = g.of_cones(wide_[0], p);
     in_team(g.r, [&](int i) { weight[i] = 1.0 / (w[i] * w[i]); });
     in_team(g.user_cones, [&](int c) {
       auto [offset, d, _] = g.cone_at(c);
@@ -182,7 +174,7 @@ class NewtonSystem {
     }
     if (!g.has_norm) return;
     Entries w1 = w + g.trust + 1, scale = g.scale.of(p, n);
-    Pack e = s.eta_of(p, g.trust_cone), by = 1.0 / (e * e), size = dot(w1, w1, n);
+    Pack e = s.eta_of(p, g.trust_cone), by = 1.0 / (e * e), size = soc::dot(w1, w1, n);
     Pack part = 2.0 / (1.0 + 2.0 * size);
     in_team(n, [&](int i) {
       Pack v = by * part * scale[i] * w1[i];
@@ -215,7 +207,7 @@ class NewtonSystem {
   JAXSCP_CALLED void solve_once(const Scaling& w, const Side (&sides)[S]) {
     const Program& g = program_;
     const int n = g.n, m = g.m;
-    for (int s = 0; s < S; ++s) reduce(w, sides[s], S, s);
+    reduce<S>(w, sides);
     share_among_teams(chain_.packs(), [&](int p) {
       descend<S>(node_panel(g), &panels_[p * rows_ * n], &right_[p * n * kSides], &below_[p * rows_ * kSides]);
     });
@@ -238,35 +230,44 @@ class NewtonSystem {
       });
       ascend<S>(node_panel(g), &panels_[p * rows_ * n], v);
     });
-    for (int s = 0; s < S; ++s) conclude(w, sides[s], S, s);
+    conclude<S>(w, sides);
   }
 
-  // The right side of the nodes' variables, cones and bounds eliminated, into ``right_``.
-  JAXSCP_CALLED void reduce(const Scaling& scaling, const Side& side, int S, int s) {
+  // The right sides of the nodes' variables, cones and bounds eliminated, into ``right_``.
+  template <int S>
+  JAXSCP_CALLED void reduce(const Scaling& scaling, const Side (&sides)[S]) {
     const Program& g = program_;
     const int n = g.n;
-    share(g.packs, g.r + g.user_cones + g.has_norm, [&](int p, int k) {
-      Entries qx = g.of_primal(side.rx, p), qy = g.of_cones(side.ry, p), w = g.of_cones(scaling.w, p);
-      Entries out = g.of_cones(wide_, p);
-      if (k < g.r) {
-        out[k] = qy[k] / (w[k] * w[k]);
-      } else if (k < g.r + g.user_cones) {
-        auto [offset, d, _] = g.cone_at(k - g.r);
-        soc::inverse_square(w + offset, scaling.eta_of(p, k - g.r), qy + offset, d, out + offset);
-      } else {
-        Entries wt = w + g.trust, shift = trust_shift_[s].of(p, n);
-        Pack e = scaling.eta_of(p, g.trust_cone), head = 2.0 * e * e * wt[0] * qx[g.xi];
-        put(shift, 0, n, [&](int i) { return qy[g.trust + 1 + i] - head * wt[1 + i]; });
-        soc::tail_inverse(wt, e, shift, n, out + (g.trust + 1));
-      }
+    share(g.packs, Parts{g.r * S, (g.user_cones + g.has_norm) * S}, [&](int p, int k) {
+      reduce_part(scaling, sides[k % S], k % S, p, k / S);
     });
-    share(g.packs, n, [&](int p, int j) {
-      Entries v = g.of_cones(wide_, p);
-      Pack total = g.rows.add_transposed(p, j, g.of_primal(side.rx, p)[j], [&](int i) { return v[i]; });
+    share(g.packs, Parts{n * S}, [&](int p, int k) {
+      const int j = k / S, s = k % S;
+      Entries v = g.of_cones(wide_[s], p);
+      Pack total = g.rows.add_transposed(p, j, g.of_primal(sides[s].rx, p)[j], [&](int i) { return v[i]; });
       total = g.user.add_transposed(p, j, total, [&](int i) { return v[g.r + i]; });
       if (g.has_norm) total -= g.scale.of(p, n)[j] * v[g.trust + 1 + j];
-      right_[p * n * kSides + j * S + s] = total;
+      right_[p * n * kSides + k] = total;
     });
+  }
+
+  // What row or cone k of a node adds to that.
+  void reduce_part(const Scaling& scaling, const Side& side, int s, int p, int k) {
+    const Program& g = program_;
+    const int n = g.n;
+    Entries qx = g.of_primal(side.rx, p), qy = g.of_cones(side.ry, p), w = g.of_cones(scaling.w, p);
+    Entries out = g.of_cones(wide_[s], p);
+    if (k < g.r) {
+      out[k] = qy[k] / (w[k] * w[k]);
+    } else if (k < g.r + g.user_cones) {
+      auto [offset, d, _] = g.cone_at(k - g.r);
+      soc::inverse_square(w + offset, scaling.eta_of(p, k - g.r), qy + offset, d, out + offset);
+    } else {
+      Entries wt = w + g.trust, shift = trust_shift_[s].of(p, n);
+      Pack e = scaling.eta_of(p, g.trust_cone), head = 2.0 * e * e * wt[0] * qx[g.xi];
+      put(shift, 0, n, [&](int i) { return qy[g.trust + 1 + i] - head * wt[1 + i]; });
+      soc::tail_inverse(wt, e, shift, n, out + (g.trust + 1));
+    }
   }
 
   // The right side of a link's row, its virtual control's bound eliminated.
@@ -279,58 +280,68 @@ class NewtonSystem {
   }
 
   // Everything that was eliminated, from the nodes' variables and the multipliers of the links in ``below_``.
-  JAXSCP_CALLED void conclude(const Scaling& scaling, const Side& side, int S, int s) {
+  template <int S>
+  JAXSCP_CALLED void conclude(const Scaling& scaling, const Side (&sides)[S]) {
     const Program& g = program_;
     const int n = g.n, m = g.m;
-    auto solved = [&](int p, int row) { return below_[p * rows_ * kSides + row * S + s]; };
-    share(g.packs, n + m, [&](int p, int i) {
+    share(g.packs, Parts{(n + m) * S}, [&](int p, int k) {
+      const int i = k / S;
+      const Side& side = sides[k % S];
+      const Pack found = below_[p * rows_ * kSides + k];
       if (i < n) {
-        g.of_primal(side.x, p)[i] = solved(p, i);
+        g.of_primal(side.x, p)[i] = found;
       } else {
-        Pack v = g.soft.of(p, m)[i - n], l = solved(p, i);
-        g.of_cones(side.y, p)[g.zero + i - n] = (1.0 - v) * l;
-        g.of_cones(side.y, p)[g.virtual_ + 1 + i - n] = v * l;
+        Pack v = g.soft.of(p, m)[i - n];
+        g.of_cones(side.y, p)[g.zero + i - n] = (1.0 - v) * found;
+        g.of_cones(side.y, p)[g.virtual_ + 1 + i - n] = v * found;
       }
     });
-    share(g.packs, g.r + g.cone_count, [&](int p, int k) {
-      Entries qx = g.of_primal(side.rx, p), qy = g.of_cones(side.ry, p), w = g.of_cones(scaling.w, p);
-      Entries ox = g.of_primal(side.x, p), oy = g.of_cones(side.y, p);
-      if (k < g.r) {
-        oy[k] = (g.rows.times(p, k, ox) - qy[k]) / (w[k] * w[k]);
-        return;
-      }
-      int c = k - g.r;
-      Pack e = scaling.eta_of(p, c);
-      if (c < g.user_cones) {
-        auto [offset, d, _] = g.cone_at(c);
-        Entries v = g.of_cones(wide_, p) + offset;
-        for (int i = 0; i < d; ++i) v[i] = g.user.times(p, offset - g.r + i, ox) - qy[offset + i];
-        soc::inverse_square(w + offset, e, v, d, oy + offset);
-      } else if (c == g.virtual_cone) {
-        // The bounds follow from the heads of their cones:  -xi - (W^2 y)_0 = ry_0.
-        oy[g.virtual_] = -qx[g.zeta];
-        ox[g.zeta] = -qy[g.virtual_] - square_head(w + g.virtual_, e, oy + g.virtual_, 1 + m);
-        if (!g.has_norm) ox[g.xi] = all(0.0);
-      } else {
-        Entries wt = w + g.trust, scale = g.scale.of(p, n), shift = trust_shift_[s].of(p, n);
-        Entries v = g.of_cones(wide_, p) + g.trust;
-        put(v, 0, n, [&](int i) { return -(scale[i] * ox[i] + shift[i]); });
-        soc::tail_inverse(wt, e, v, n, oy + (g.trust + 1));
-        oy[g.trust] = -qx[g.xi];
-        ox[g.xi] = -qy[g.trust] - square_head(wt, e, oy + g.trust, 1 + n);
-      }
+    share(g.packs, Parts{g.r * S, g.cone_count * S}, [&](int p, int k) {
+      conclude_part(scaling, sides[k % S], k % S, p, k / S);
     });
   }
 
+  // The multipliers of row or cone k of a place, and the bounds of cones.
+  void conclude_part(const Scaling& scaling, const Side& side, int s, int p, int k) {
+    const Program& g = program_;
+    const int n = g.n, m = g.m;
+    Entries qx = g.of_primal(side.rx, p), qy = g.of_cones(side.ry, p), w = g.of_cones(scaling.w, p);
+    Entries ox = g.of_primal(side.x, p), oy = g.of_cones(side.y, p);
+    if (k < g.r) {
+      oy[k] = (g.rows.times(p, k, ox) - qy[k]) / (w[k] * w[k]);
+      return;
+    }
+    int c = k - g.r;
+    Pack e = scaling.eta_of(p, c);
+    if (c < g.user_cones) {
+      auto [offset, d, _] = g.cone_at(c);
+      Entries v = g.of_cones(wide_[s], p) + offset;
+      put(v, 0, d, [&](int i) { return g.user.times(p, offset - g.r + i, ox) - qy[offset + i]; });
+      soc::inverse_square(w + offset, e, v, d, oy + offset);
+    } else if (c == g.virtual_cone) {
+      // The bounds follow from the heads of their cones:  -xi - (W^2 y)_0 = ry_0.
+      oy[g.virtual_] = -qx[g.zeta];
+      ox[g.zeta] = -qy[g.virtual_] - square_head(w + g.virtual_, e, oy + g.virtual_, 1 + m);
+      if (!g.has_norm) ox[g.xi] = all(0.0);
+    } else {
+      Entries wt = w + g.trust, scale = g.scale.of(p, n), shift = trust_shift_[s].of(p, n);
+      Entries v = g.of_cones(wide_[s], p) + g.trust;
+      put(v, 0, n, [&](int i) { return -(scale[i] * ox[i] + shift[i]); });
+      soc::tail_inverse(wt, e, v, n, oy + (g.trust + 1));
+      oy[g.trust] = -qx[g.xi];
+      ox[g.xi] = -qy[g.trust] - square_head(wt, e, oy + g.trust, 1 + n);
+    }
+  }
+
   static Pack square_head(Entries w, Pack eta, Entries v, int d) {
-    return eta * eta * (w[0] * 2.0 * dot(w, v, d) - v[0]);
+    return eta * eta * (w[0] * 2.0 * soc::dot(w, v, d) - v[0]);
   }
 
   const Program& program_;
   Chain chain_;
   int rows_;  // of a panel: z, its link, and the link after it
   Packs panels_, grams_, right_, below_;
-  Packs wide_;  // as a ConeVector: what a phase passes to the next
+  Packs wide_[kSides];  // as ConeVectors: what a phase passes to the next
   Packs trust_shift_[kSides], rx_[kSides], ry_[kSides], dx_[kSides], dy_[kSides];
 };
 

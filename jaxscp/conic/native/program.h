@@ -22,7 +22,7 @@ struct Given {
 // Takes entries of ``size`` numbers at each of the first ``count`` places into packs, ``stride`` packs an entry apart.
 JAXSCP_CALLED inline void gather(const double* from, int count, int size, Packs to, int offset, int stride,
                                  double beyond = 0.0) {
-  share(to.size / stride, size, [&](int p, int i) {
+  share(to.size / stride, Parts{size}, [&](int p, int i) {
     for (int lane = 0; lane < kWidth; ++lane) {
       int k = p * kWidth + lane;
       set(to.of(p, stride)[offset + i], lane, k < count ? from[static_cast<long long>(k) * size + i] : beyond);
@@ -31,7 +31,7 @@ JAXSCP_CALLED inline void gather(const double* from, int count, int size, Packs 
 }
 
 JAXSCP_CALLED inline void scatter(Packs from, int offset, int stride, int count, int size, double* to) {
-  share(count, size, [&](int k, int i) {
+  share(count, Parts{size}, [&](int k, int i) {
     to[k * size + i] = get(from.of(k / kWidth, stride)[offset + i], k % kWidth);
   });
 }
@@ -58,7 +58,7 @@ class Matrix {
     list(column_start_, columns, rows, [&](int j, int i) { return i * columns + j; },
          [&](int f, int, int i, int at) { entry_[f] = place_[at], row_[f] = i; });
     once([&] { entries = start[rows]; });
-    share(packs, rows, [&](int p, int i) {
+    share(packs, Parts{rows}, [&](int p, int i) {
       for (int e = start[i]; e < start[i + 1]; ++e)
         for (int lane = 0; lane < kWidth; ++lane) {
           int k = p * kWidth + lane;
@@ -141,7 +141,8 @@ class Program : public ProgramLayout {
   Program(const Layout& layout, Arena& arena)
       : ProgramLayout(layout), hessian(n, n, packs, arena), after(m, n, packs, arena), before(m, n, packs, arena),
         rows(r, n, packs, arena), user(u, n, packs, arena), soft(arena.take(packs * m)), scale(arena.take(packs * n)),
-        q(arena.take(packs * primal.size)), b(arena.take(packs * cone.size)), carry_(arena.take(packs * m)) {}
+        q(arena.take(packs * primal.size)), b(arena.take(packs * cone.size)), carry_(arena.take(packs * m)),
+        multiplier_(arena.take(packs * m)) {}
 
   JAXSCP_CALLED void read(const Given& g) {
     auto matrix = [](const double* from, int rows, int columns) {
@@ -175,10 +176,10 @@ class Program : public ProgramLayout {
       gather(g.norm_weight, nodes, 1, q, xi, primal.size);
       gather(g.norm_scale, nodes, n, scale, 0, n);
       gather(g.norm_centre, nodes, n, b, trust + 1, cone.size);
-      share(packs, n, [&](int p, int i) { of_cones(b, p)[trust + 1 + i] *= -scale.of(p, n)[i]; });
+      share(packs, Parts{n}, [&](int p, int i) { of_cones(b, p)[trust + 1 + i] *= -scale.of(p, n)[i]; });
     }
     gather(g.link_offset, nodes + 1, m, b, zero, cone.size);
-    share(packs, m, [&](int p, int i) {
+    share(packs, Parts{m}, [&](int p, int i) {
       Entries o = of_cones(b, p);
       Pack v = soft.of(p, m)[i], d = o[zero + i];
       o[zero + i] = (1.0 - v) * d;
@@ -190,32 +191,21 @@ class Program : public ProgramLayout {
   Entries of_primal(Packs v, int p) const { return v.of(p, primal.size); }
   Entries of_cones(Packs v, int p) const { return v.of(p, cone.size); }
 
-  // P x.
-  JAXSCP_CALLED void times_hessian(Packs x, Packs out) const {
-    share(packs, primal.size, [&](int p, int i) {
-      of_primal(out, p)[i] = i < n ? hessian.times(p, i, of_primal(x, p)) : all(0.0);
+  // P x, A x and A'y.
+  JAXSCP_CALLED void times(Packs x, Packs y, Packs px, Packs ax, Packs aty) const {
+    share(packs, Parts{2 * m}, [&](int p, int k) {
+      if (k < m) carry_.of(p, m)[k] = of_nodes(p, before.times(p, k, of_primal(x, p)));
+      else multiplier_.of(p, m)[k - m] = link_multiplier(y, p, k - m);
     });
-  }
-
-  // A x.
-  JAXSCP_CALLED void times_constraints(Packs x, Packs out) const {
-    share(packs, m, [&](int p, int i) { carry_.of(p, m)[i] = of_nodes(p, before.times(p, i, of_primal(x, p))); });
-    share(packs, r + u, [&](int p, int i) {
-      Entries v = of_primal(x, p);
-      of_cones(out, p)[i] = i < r ? rows.times(p, i, v) : user.times(p, i - r, v);
-    });
-    share(packs, m, [&](int p, int i) {
-      Pack from_before = one_before(p > 0 ? carry_.of(p - 1, m)[i] : all(0.0), carry_.of(p, m)[i]);
-      Pack link = of_nodes(p, after.times(p, i, of_primal(x, p))) + from_before, s = soft.of(p, m)[i];
-      of_cones(out, p)[zero + i] = (1.0 - s) * link;
-      of_cones(out, p)[virtual_ + 1 + i] = s * link;
-    });
-    share(packs, n + 1, [&](int p, int i) {
-      Entries v = of_primal(x, p), o = of_cones(out, p);
-      if (i == n) o[virtual_] = -v[zeta];
-      if (!has_norm) return;
-      if (i == n) o[trust] = -v[xi];
-      else o[trust + 1 + i] = -scale.of(p, n)[i] * v[i];
+    const int rows_of_a = r + u + m + n + 1;
+    share(packs, Parts{rows_of_a + primal.size}, [&](int p, int k) {
+      if (k < rows_of_a) {
+        put_constraint(p, k, of_primal(x, p), of_cones(ax, p));
+      } else {
+        const int j = k - rows_of_a;
+        of_primal(px, p)[j] = j < n ? hessian.times(p, j, of_primal(x, p)) : all(0.0);
+        of_primal(aty, p)[j] = transposed(p, j, of_cones(y, p));
+      }
     });
   }
 
@@ -226,27 +216,26 @@ class Program : public ProgramLayout {
     return (1.0 - s) * v[zero + i] + s * v[virtual_ + 1 + i];
   }
 
-  // A' y.
-  JAXSCP_CALLED void times_constraints_transposed(Packs y, Packs out) const {
-    share(packs, m, [&](int p, int i) { carry_.of(p, m)[i] = link_multiplier(y, p, i); });
-    share(packs, primal.size, [&](int p, int j) {
-      Entries v = of_cones(y, p), o = of_primal(out, p), link = carry_.of(p, m), next = carry_.of(p + 1, m);
-      if (j == xi) o[j] = has_norm ? -v[trust] : all(0.0);
-      if (j == zeta) o[j] = -v[virtual_];
-      if (j >= n) return;
-      bool last = p + 1 == packs;
-      Pack total = has_norm ? -scale.of(p, n)[j] * v[trust + 1 + j] : all(0.0);
-      total = after.add_transposed(p, j, total, [&](int i) { return link[i]; });
-      total = before.add_transposed(p, j, total, [&](int i) { return one_after(link[i], last ? all(0.0) : next[i]); });
-      total = rows.add_transposed(p, j, total, [&](int i) { return v[i]; });
-      o[j] = user.add_transposed(p, j, total, [&](int i) { return v[r + i]; });
-    });
+  // What a place has to do, whatever that is: one part for each of its half-spaces, second-order cones, rows of the zero
+  // cone and variables.
+  Parts parts(int sides = 1) const { return {r * sides, cone_count * sides, (m + primal.size) * sides}; }
+
+  // Calls, for part k of a place, half_space(at), second_order(at, dimension, cone), zero_row(at) or variable(at):
+  // ``at`` is where it begins in a ConeVector, and for a variable in a Primal.
+  template <typename HalfSpace, typename SecondOrder, typename ZeroRow, typename Variable>
+  void part(int k, HalfSpace half_space, SecondOrder second_order, ZeroRow zero_row, Variable variable) const {
+    if (k < r) return half_space(k);
+    k -= r;
+    if (k < cone_count) return second_order(cone_at(k).offset, cone_at(k).dimension, k);
+    k -= cone_count;
+    if (k < m) return zero_row(zero + k);
+    variable(k - m);
   }
 
   // Half-spaces and second-order cones of every pack: a place in its part of a ConeVector, and which of its cones.
   template <typename HalfSpace, typename SecondOrder>
   void each(HalfSpace half_space, SecondOrder second_order) const {
-    share(packs, r + cone_count, [&](int p, int k) {
+    share(packs, Parts{r, cone_count}, [&](int p, int k) {
       if (k < r) return half_space(p, k);
       Cone c = cone_at(k - r);
       second_order(p, c.offset, c.dimension, k - r);
@@ -254,7 +243,7 @@ class Program : public ProgramLayout {
   }
 
   JAXSCP_CALLED void clear_zero_cone(Packs v) const {
-    share(packs, m, [&](int p, int i) { of_cones(v, p)[zero + i] = all(0.0); });
+    share(packs, Parts{m}, [&](int p, int i) { of_cones(v, p)[zero + i] = all(0.0); });
   }
 
   // Places beyond the chain's end hold nothing that counts; what is carried to others or summed is taken from here.
@@ -264,21 +253,49 @@ class Program : public ProgramLayout {
     return i < shape.of_node ? of_nodes(p, v) : of_links(p, v);
   }
 
-  JAXSCP_CALLED double dot(Packs a, Packs b, Shape shape) const {
-    return sum_of(packs, shape.size, [&](int p, int i) {
-      return of_places(p, i, shape, a.of(p, shape.size)[i] * b.of(p, shape.size)[i]);
-    });
-  }
-
   // The largest entry without its sign.
   JAXSCP_CALLED double largest_of(Packs a, Shape shape) const {
-    return jaxscp::largest_of(packs, shape.size, [&](int p, int i) {
-      return of_places(p, i, shape, magnitude(a.of(p, shape.size)[i]));
-    });
+    using Largest = Totals<0, 1>;
+    return fold(packs, Parts{shape.size}, Largest::none(), [&](int p, int i, Largest& found) {
+      found.see(0, of_places(p, i, shape, magnitude(a.of(p, shape.size)[i])));
+    }).largest(0);
   }
 
  private:
-  Packs carry_;
+  // Row k of A x, of half-spaces, the user's cones, links and bounds with the norm's arguments; v is x.
+  void put_constraint(int p, int k, Entries v, Entries out) const {
+    if (k < r) {
+      out[k] = rows.times(p, k, v);
+    } else if (k < r + u) {
+      out[k] = user.times(p, k - r, v);
+    } else if (k < r + u + m) {
+      const int i = k - r - u;
+      Pack from_before = one_before(p > 0 ? carry_.of(p - 1, m)[i] : all(0.0), carry_.of(p, m)[i]);
+      Pack link = of_nodes(p, after.times(p, i, v)) + from_before, s = soft.of(p, m)[i];
+      out[zero + i] = (1.0 - s) * link;
+      out[virtual_ + 1 + i] = s * link;
+    } else if (const int i = k - r - u - m; i < n) {
+      if (has_norm) out[trust + 1 + i] = -scale.of(p, n)[i] * v[i];
+    } else {
+      out[virtual_] = -v[zeta];
+      if (has_norm) out[trust] = -v[xi];
+    }
+  }
+
+  // Entry j of A'y, of whose links' multipliers ``multiplier_`` has those of links; v is y.
+  Pack transposed(int p, int j, Entries v) const {
+    if (j == xi) return has_norm ? -v[trust] : all(0.0);
+    if (j == zeta) return -v[virtual_];
+    Entries link = multiplier_.of(p, m), next = multiplier_.of(p + 1, m);
+    const bool last = p + 1 == packs;
+    Pack total = has_norm ? -scale.of(p, n)[j] * v[trust + 1 + j] : all(0.0);
+    total = after.add_transposed(p, j, total, [&](int i) { return link[i]; });
+    total = before.add_transposed(p, j, total, [&](int i) { return one_after(link[i], last ? all(0.0) : next[i]); });
+    total = rows.add_transposed(p, j, total, [&](int i) { return v[i]; });
+    return user.add_transposed(p, j, total, [&](int i) { return v[r + i]; });
+  }
+
+  Packs carry_, multiplier_;  // of links: what the node before adds, and what a product's links have
 };
 
 }  // namespace jaxscp

@@ -12,10 +12,13 @@
 
 namespace jaxscp {
 
+constexpr int kFoundTogether = 12;  // sums and the like, at most
+
 class Team {
  public:
   // For up to ``most`` threads, whose sums are over up to ``packs``.
-  Team(int most, int packs) : most_(most), parts_{std::vector<Pack>(packs), std::vector<Pack>(packs)} {}
+  Team(int most, int packs)
+      : most_(most), parts_{std::vector<Pack>(packs * kFoundTogether), std::vector<Pack>(packs * kFoundTogether)} {}
 
   int size() const { return size_; }
 
@@ -59,7 +62,7 @@ class Team {
     closed_.store(true, std::memory_order_release);
   }
 
-  // What packs add to a sum. There are two, as one is still read when the next is written.
+  // What packs add to sums. There are two, as one is still read when the next is written.
   Pack* parts(int turn) { return parts_[turn].data(); }
 
  private:

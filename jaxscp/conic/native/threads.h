@@ -12,6 +12,12 @@
 
 namespace jaxscp {
 
+// What is to be done at a place: so much that takes one thread, then so many cones, whose entries lanes of a GPU work on
+// together, and then more that takes one.
+struct Parts {
+  int single, cones = 0, rest = 0;
+};
+
 #if defined(__CUDACC__)
 
 // A function that is called, not copied to where it is used: a kernel of copies outgrows the instruction cache.
@@ -31,13 +37,53 @@ inline void share(int count, Act act) {
   __syncthreads();
 }
 
-// act(p, k) for p < packs and k < count. Neighbouring threads have neighbouring places and the same k.
+// Lanes of a warp that work on a cone together: each on every so-manieth of its entries.
+constexpr int kLanesOfCone = 8;
+inline int lane_of_cone() { return lane_of_warp() % kLanesOfCone; }
+
+// act(p, k) for p < packs and all parts k. Neighbouring threads have neighbouring places and the same k; or they have
+// the same cone.
 template <typename Act>
-inline void share(int packs, int count, Act act) {
+inline void visit(int packs, Parts parts, Act act) {
+  const int cones = packs * parts.single, rest = cones + packs * parts.cones * kLanesOfCone;
 #pragma unroll 1
-  for (int i = threadIdx.x; i < packs * count; i += kThreads) act(i % packs, i / packs);
+  for (int i = threadIdx.x; i < rest + packs * parts.rest; i += kThreads) {
+    int k = i / packs, p = i % packs;
+    if (i >= rest) {
+      k -= parts.cones * (kLanesOfCone - 1);
+    } else if (i >= cones) {
+      const int cone = (k - parts.single) / kLanesOfCone, stretch = (k - parts.single) % kLanesOfCone;
+      k = parts.single + cone;
+      p = (stretch * packs + p) / kLanesOfCone;
+    }
+    act(p, k);
+  }
+}
+template <typename Act>
+inline void share(int packs, Parts parts, Act act) {
+  visit(packs, parts, act);
   __syncthreads();
 }
+
+// Within a cone: the sum of value(i) from ``first`` on, for all its lanes.
+template <typename Value>
+inline Pack sum(int first, int end, Value value) {
+  Pack total = 0.0;
+#pragma unroll 1
+  for (int i = first + lane_of_cone(); i < end; i += kLanesOfCone) total += value(i);
+#pragma unroll
+  for (int apart = 1; apart < kLanesOfCone; apart *= 2) total += __shfl_xor_sync(0xffffffff, total, apart);
+  return total;
+}
+// out[i] = value(i) from ``first`` on.
+template <typename Out, typename Value>
+inline void put(Out out, int first, int end, Value value) {
+#pragma unroll 1
+  for (int i = first + lane_of_cone(); i < end; i += kLanesOfCone) out[i] = value(i);
+  __syncwarp();
+}
+// What is of a cone and not of each lane.
+inline Pack once_of_cone(Pack v) { return lane_of_cone() == 0 ? v : 0.0; }
 
 // The same for what teams keep, place after place: neighbouring threads have neighbouring k.
 template <typename Act>
@@ -75,20 +121,23 @@ inline void once(Act act) {
 inline bool admit() { return true; }
 inline void dismiss() {}
 
-// ``join`` of ``first`` and of value(p, k) for all p < packs and k < count.
-template <typename Join, typename Value>
-inline double fold(int packs, int count, double first, Join join, Value value) {
-  __shared__ double of_warps[kThreads / kWarp];
-  double total = first;
+// What act(p, k, found) joins to ``found``, which begins as ``first``, for all p < packs and parts k.
+template <typename Found, typename Act>
+inline Found fold(int packs, Parts parts, Found first, Act act) {
+  __shared__ Found of_warps[kThreads / kWarp];
+  Found total = first;
+  visit(packs, parts, [&](int p, int k) { act(p, k, total); });
 #pragma unroll 1
-  for (int i = threadIdx.x; i < packs * count; i += kThreads) total = join(value(i % packs, i / packs), total);
-#pragma unroll 1
-  for (int apart = kWarp / 2; apart > 0; apart /= 2) total = join(__shfl_xor_sync(0xffffffff, total, apart), total);
+  for (int apart = kWarp / 2; apart > 0; apart /= 2) {
+    Found other;
+    for (int i = 0; i < Found::kMany; ++i) other[i] = __shfl_xor_sync(0xffffffff, total[i], apart);
+    total.join(other);
+  }
   if (lane_of_warp() == 0) of_warps[warp_of_block()] = total;
   __syncthreads();
   total = first;
 #pragma unroll 1
-  for (int w = 0; w < kThreads / kWarp; ++w) total = join(of_warps[w], total);
+  for (int w = 0; w < kThreads / kWarp; ++w) total.join(of_warps[w]);
   __syncthreads();
   return total;
 }
@@ -113,7 +162,8 @@ inline void share(int count, Act act) {
 }
 
 template <typename Act>
-inline void share(int packs, int count, Act act) {
+inline void share(int packs, Parts parts, Act act) {
+  const int count = parts.single + parts.cones + parts.rest;
   auto [begin, end] = mine(packs * count);
   for (int at = begin; at < end;) {
     const int p = at / count, first = p * count, last = std::min(end, first + count);
@@ -125,7 +175,7 @@ inline void share(int packs, int count, Act act) {
 
 template <typename Act>
 inline void share_kept(int packs, int count, Act act) {
-  share(packs, count, act);
+  share(packs, Parts{count}, act);
 }
 
 // A team of its own is what a thread is here.
@@ -138,6 +188,23 @@ template <typename Act>
 inline void in_team(int count, Act act) {
   for (int i = 0; i < count; ++i) act(i);
 }
+
+// The sum of value(i) from ``first`` on.
+template <typename Value>
+inline Pack sum(int first, int end, Value value) {
+  Pack total[4] = {all(0.0), all(0.0), all(0.0), all(0.0)};  // four in turn: none waits for the one before
+  int i = first;
+  for (; i + 4 <= end; i += 4)
+    for (int k = 0; k < 4; ++k) total[k] += value(i + k);
+  for (; i < end; ++i) total[0] += value(i);
+  return (total[0] + total[1]) + (total[2] + total[3]);
+}
+// out[i] = value(i) from ``first`` on.
+template <typename Out, typename Value>
+inline void put(Out out, int first, int end, Value value) {
+  for (int i = first; i < end; ++i) out[i] = value(i);
+}
+inline Pack once_of_cone(Pack v) { return v; }
 
 template <typename Act>
 inline void once(Act act) {
@@ -157,41 +224,71 @@ inline bool admit() {
 inline void dismiss() { seat.team->dismiss(); }
 
 // In an order that does not depend on how many threads there are, so that what is found does not.
-template <typename Join, typename Value>
-inline double fold(int packs, int count, double first, Join join, Value value) {
+template <typename Found, typename Act>
+inline Found fold(int packs, Parts parts, Found first, Act act) {
+  const int count = parts.single + parts.cones + parts.rest;
+  static_assert(Found::kMany <= kFoundTogether);
+  constexpr int kTurns = Found::kMany > 1 ? 1 : 4;  // of one alone, parts in turn: none waits for the one before
   Pack* of_packs = seat.team->parts(seat.turn ^= 1);
   auto [begin, end] = mine(packs);
   for (int p = begin; p < end; ++p) {
-    Pack part[4] = {all(first), all(first), all(first), all(first)};  // in turn: none waits for the one before
+    Found part[kTurns];
+    for (Found& v : part) v = first;
     int k = 0;
-    for (; k + 4 <= count; k += 4)
-      for (int i = 0; i < 4; ++i) part[i] = join(value(p, k + i), part[i]);
-    for (; k < count; ++k) part[0] = join(value(p, k), part[0]);
-    of_packs[p] = join(join(part[0], part[1]), join(part[2], part[3]));
+    for (; k + kTurns <= count; k += kTurns)
+      for (int i = 0; i < kTurns; ++i) act(p, k + i, part[i]);
+    for (; k < count; ++k) act(p, k, part[0]);
+    for (int i = 1; i < kTurns; ++i) part[0].join(part[i]);
+    for (int i = 0; i < Found::kMany; ++i) of_packs[p * kFoundTogether + i] = part[0][i];
   }
   wait();
-  Pack total = all(first);
-  for (int p = 0; p < packs; ++p) total = join(of_packs[p], total);
-  Pack whole = all(get(total, 0));
-  for (int lane = 1; lane < kWidth; ++lane) whole = join(all(get(total, lane)), whole);
-  return get(whole, 0);
+  Found total = first;
+  for (int p = 0; p < packs; ++p) {
+    Found part;
+    for (int i = 0; i < Found::kMany; ++i) part[i] = of_packs[p * kFoundTogether + i];
+    total.join(part);
+  }
+  Found whole = total;
+  for (int lane = 1; lane < kWidth; ++lane) {
+    Found part;
+    for (int i = 0; i < Found::kMany; ++i) part[i] = all(get(total[i], lane));
+    whole.join(part);
+  }
+  return whole;
 }
 
 #endif
 
-inline Pack plus(Pack a, Pack b) { return a + b; }
+// Sums and largest numbers that are found together.
+template <int kSums, int kLargest>
+struct Totals {
+  static constexpr int kMany = kSums + kLargest;
+  Pack numbers[kMany];
 
-template <typename Value>
-inline double sum_of(int packs, int count, Value value) {
-  return fold(packs, count, 0.0, plus, value);
-}
-template <typename Value>
-inline double largest_of(int packs, int count, Value value) {
-  return fold(packs, count, 0.0, larger, value);
-}
-template <typename Value>
-inline double least_of(int packs, int count, double first, Value value) {
-  return fold(packs, count, first, smaller, value);
-}
+  static Totals none() {
+    Totals found;
+    for (Pack& v : found.numbers) v = all(0.0);
+    return found;
+  }
+  Pack& operator[](int i) { return numbers[i]; }
+  void add(int i, Pack v) { numbers[i] += v; }
+  void see(int i, Pack v) { numbers[kSums + i] = larger(v, numbers[kSums + i]); }
+  void join(const Totals& other) {
+    for (int i = 0; i < kMany; ++i)
+      numbers[i] = i < kSums ? numbers[i] + other.numbers[i] : larger(other.numbers[i], numbers[i]);
+  }
+  double sum(int i) const { return get(numbers[i], 0); }
+  double largest(int i) const { return get(numbers[kSums + i], 0); }
+};
+
+struct Least {
+  static constexpr int kMany = 1;
+  Pack number;
+
+  Pack& operator[](int) { return number; }
+  void see(Pack v) { number = smaller(v, number); }
+  void join(const Least& other) { see(other.number); }
+  double value() const { return get(number, 0); }
+};
 
 }  // namespace jaxscp
