@@ -5,7 +5,7 @@
 // and for all threads. Here what is needed next is fetched meanwhile, and the other warps are of other programs.
 #pragma once
 
-#include "eliminations.h"
+#include "elimination_by_warp.h"
 #include "program.h"
 
 namespace jaxscp {
@@ -16,40 +16,36 @@ constexpr int kSides = 2;
 class Chain {
  public:
   Chain(const Program& program, Arena& arena)
-      : program_(program), blocks_(arena.take(kLinks * 2 * kBlockSize)), inverse_(arena.take(kLinks * kBlockSize)),
+      : program_(program), blocks_(arena.take(kLinks * 3 * kBlockSize)), inverse_(arena.take(kLinks * kBlockSize)),
         step_(arena.take(kLinks * kBlockSize)), vector_(arena.take(kLinks * m * kSides)),
-        into_middle_(arena.take(2 * m * kSides)) {}
+        into_middle_(arena.take(2 * m * kSides)), solution_(arena.take(program.packs * m * kSides)) {}
 
-  int packs() const { return kLinks; }
-
-  // Takes the matrix: diagonal(p, i, j) of its lower triangle, and above(p, i, j) of S_{l,l+1}, zero behind the last.
-  template <typename Diagonal, typename Above>
-  void read(Diagonal diagonal, Above above) {
-    share_kept(kLinks, m * m, [&](int p, int e) {
-      const int i = e / m, j = e % m;
-      if (j <= i) block(p)[j * m + i] = diagonal(p, i, j);
-      // a block's neighbour is towards the middle
-      if (p < kMiddle) neighbour(p)[i * m + j] = above(p, i, j);
-      else if (p + 1 < kLinks) neighbour(p + 1)[j * m + i] = above(p, i, j);
-    });
-  }
+  // The matrix, by columns and its diagonal's lower triangle: of link l what it has itself and from the node behind it,
+  // what it has from the node before it, and entry (i, j) of S_{l,l+1}.
+  double* own(int l) const { return &blocks_[l * 3 * kBlockSize]; }
+  double* from_before(int l) const { return own(l) + kBlockSize; }
+  double& above(int l, int i, int j) const { return l < kMiddle ? neighbour(l)[i * m + j] : neighbour(l + 1)[j * m + i]; }
 
   JAXSCP_CALLED void factor() {
     share_among_teams(2, [&](int end) {
-      double *tile = tile_of_warp(), *update = update_of(end);
-      auto fetched = [&](int t) { return ahead_of(end) + t % 2 * 2 * kBlockSize; };
-      if (count(end) > 0) fetch(fetched(0), block(link(end, 0)), 2 * kBlockSize);
+      double* tile = tile_of_warp();
+      auto fetched = [&](int t) { return ahead_of(end) + t % 2 * 3 * kBlockSize; };
+      auto begin = [&](int t) {
+        if (t < count(end)) fetch(fetched(t), own(link(end, t)), 3 * kBlockSize);
+      };
+      begin(0);
       for (int t = 0; t < count(end); ++t) {
         const int l = link(end, t);
+        double *here = fetched(t), *update = fetched(t - 1 + 2);  // where the last one was
+        const double *before = here + kBlockSize, *next = before + kBlockSize;
         wait_for_fetched<0>();
-        if (t + 1 < count(end)) fetch(fetched(t + 1), block(link(end, t + 1)), 2 * kBlockSize);
-        const double *here = fetched(t), *next = here + kBlockSize;
-        in_team(m * m, [&](int e) { tile[e] = here[e] - (t > 0 ? update[e] : 0.0); });
+        in_team(m * m, [&](int e) { tile[e] = here[e] + (l > 0 ? before[e] : 0.0) - (t > 0 ? update[e] : 0.0); });
+        begin(t + 1);
         double *inverse = &inverse_[l * kBlockSize], *step = &step_[l * kBlockSize];
         invert_factor<m>(tile);
         Products<m, 2 * m> products(tile);
         products.find([&](int i, int j) { return next[j * m + i]; });
-        products.each_of_gram([&](int i, int j, double v) { update[j * m + i] = v; });
+        products.each_of_gram([&](int i, int j, double v) { here[j * m + i] = v; });
         products.each_of_solved([&](int i, int j, double v) { step[j * m + i] = v; });
         products.each_of_inverse([&](int i, int j, double v) { inverse[j * m + i] = v; });
         __syncwarp();
@@ -58,9 +54,9 @@ class Chain {
     share_among_teams(1, [&](int) {
       double *tile = tile_of_warp(), *inverse = &inverse_[kMiddle * kBlockSize];
       in_team(m * m, [&](int e) {
-        double v = block(kMiddle)[e];
+        double v = own(kMiddle)[e] + (kMiddle > 0 ? from_before(kMiddle)[e] : 0.0);
         for (int end = 0; end < 2; ++end)
-          if (count(end) > 0) v -= update_of(end)[e];
+          if (count(end) > 0) v -= (ahead_of(end) + (count(end) - 1) % 2 * 3 * kBlockSize)[e];
         tile[e] = v;
       });
       invert_factor<m>(tile);
@@ -71,7 +67,9 @@ class Chain {
   // For S right sides: right(p, i, s) gives row i of side s, and ``solution`` what is found.
   template <int S, typename Right>
   void solve(Right right) {
-    share_kept(kLinks, m * S, [&](int p, int k) { vector(p)[k / S * kSides + k % S] = right(p, k / S, k % S); });
+    share(program_.packs, Parts{m * S}, [&](int p, int k) {
+      if (p < kLinks) vector(p)[k / S * kSides + k % S] = right(p, k / S, k % S);
+    });
     walk<S, false>();
     share_among_teams(kLinks, [&](int l) {
       in_team(m * S, [&](int k) {
@@ -92,7 +90,7 @@ class Chain {
   }
 
   // Row i of side s.
-  Pack solution(int p, int i, int s) const { return vector(p)[i * kSides + s]; }
+  Pack solution(int p, int i, int s) const { return solution_.of(p, m * kSides)[i * kSides + s]; }
 
  private:
   static constexpr int m = ProgramLayout::m, kLinks = ProgramLayout::nodes + 1, kMiddle = kLinks / 2;
@@ -102,12 +100,11 @@ class Chain {
   static int count(int end) { return end == 0 ? kMiddle : kLinks - 1 - kMiddle; }
   static int link(int end, int t) { return end == 0 ? t : kLinks - 1 - t; }
 
-  // By columns: a block, and what ties it to the one that is eliminated next (whose rows it has).
-  double* block(int l) const { return &blocks_[l * 2 * kBlockSize]; }
-  double* neighbour(int l) const { return block(l) + kBlockSize; }
+  // By columns: what ties a block to the one that is eliminated next, whose rows it has.
+  double* neighbour(int l) const { return from_before(l) + kBlockSize; }
   double* vector(int l) const { return &vector_[l * m * kSides]; }
+  double& solution(int l, int s) const { return solution_.of(l, m * kSides)[lane_of_warp() * kSides + s]; }
   double* into_middle(int end) const { return &into_middle_[end * m * kSides]; }
-  static double* update_of(int end) { return ahead_of(end) + 4 * kBlockSize; }
 
   // A matrix whose entries are ``down`` and ``along`` apart times S vectors side by side: a lane a row.
   template <int S>
@@ -137,6 +134,8 @@ class Chain {
       double v[S], theirs[S];
       read(kBack ? vector(kMiddle) : vector(at(0)), true, v);
       read_next(0, theirs);
+      if (kBack && end == 0 && lane < m)
+        for (int s = 0; s < S; ++s) solution(kMiddle, s) = v[s];
 #pragma unroll 1
       for (int i = 0; i < many; ++i) {
         double* mine = passed() + i % 2 * m * S;
@@ -149,7 +148,7 @@ class Chain {
         multiply<S>(room(i), kBack ? m : 1, kBack ? 1 : m, mine, sums);
         for (int s = 0; s < S; ++s) {
           v[s] = theirs[s] - sums[s], theirs[s] = later[s];
-          if (lane < m) next(i)[lane * kSides + s] = v[s];
+          if (lane < m) (kBack ? solution(at(i), s) : next(i)[lane * kSides + s]) = v[s];
         }
       }
       wait_for_fetched<0>();
@@ -157,7 +156,7 @@ class Chain {
   }
 
   const Program& program_;
-  Packs blocks_, inverse_, step_, vector_, into_middle_;
+  Packs blocks_, inverse_, step_, vector_, into_middle_, solution_;
 };
 
 }  // namespace jaxscp

@@ -12,6 +12,10 @@
 
 namespace jaxscp {
 
+struct PanelShape {
+  int size, rows;
+};
+
 // A panel is [A; B] by rows: the first ``size`` rows hold A's lower triangle, then L with 1 / L_jj on its diagonal.
 
 constexpr int kTile = 4;  // 4 x 4 sums fill the registers
@@ -91,8 +95,6 @@ inline void gram_rows(const Pack* a, int i, const Pack* b, int columns, int size
 
 }  // namespace tile
 
-inline Pack& entry(PanelShape shape, Pack* panel, int i, int j) { return panel[i * shape.size + j]; }
-
 inline void eliminate(PanelShape shape, Pack* panel) {
   auto [size, rows] = shape;
   int j = 0;
@@ -123,18 +125,6 @@ inline void grams(PanelShape shape, const Pack* panel, Pack* out) {
   gram(a, a, half, size, out);
   gram(b, b, half, size, out + half * half);
   gram(a, b, half, size, out + 2 * half * half);
-}
-
-// Where a panel is put together.
-inline Pack* room_for(PanelShape, Pack* panel) { return panel; }
-inline void clear(PanelShape shape, Pack* panel) { std::fill_n(panel, shape.rows * shape.size, all(0.0)); }
-
-// Of a node: the same, and ``below`` of it, which has what is not zero there.
-template <typename Below>
-inline void eliminate(PanelShape shape, Pack* room, const Below& below, Pack*, Pack* out) {
-  below.each([&](int i, int j, Pack v) { entry(shape, room, shape.size + i, j) = v; });
-  eliminate(shape, room);
-  grams(shape, room, out);
 }
 
 // out = L^-1 right for the rows of A, and K L^-1 right for those below; S right sides at once, side by side.

@@ -3,7 +3,7 @@
 //     [ A  B' ]
 //     [ B  0  ]       A = L L',  M = L'^-1,  K = B M
 //
-// M in place of L makes products of solutions. Lane i has row i of A in its registers while the columns are eliminated
+// M in place of L makes products of solutions: A^-1 = M M'. Lane i has row i of A in its registers while the columns are eliminated
 // one after another; products are for tensor cores.
 #pragma once
 
@@ -14,21 +14,7 @@ namespace jaxscp {
 
 constexpr unsigned kEvery = 0xffffffff;  // lane of the warp
 
-// Where the lower triangle of A is put together, by columns.
-template <int kSize, int kRows>
-inline double* room_for(PanelShape<kSize, kRows>, double*) {
-  return tile_of_warp();
-}
-template <int kSize, int kRows>
-inline void clear(PanelShape<kSize, kRows>, double* tile) {
-  in_team(kSize * kSize, [&](int i) { tile[i] = 0.0; });
-}
-template <int kSize, int kRows>
-inline double& entry(PanelShape<kSize, kRows>, double* tile, int i, int j) {
-  return tile[j * kSize + i];
-}
-
-// M in place of A, its lower triangle as zeros.
+// M in place of A, whose lower triangle is given by columns; M's is zero then.
 template <int kSize>
 JAXSCP_CALLED void invert_factor(double* tile) {
   static_assert(kSize <= kWarp && 4 * kSize <= kPassed, "a lane for each row");
@@ -56,8 +42,8 @@ JAXSCP_CALLED void invert_factor(double* tile) {
   __syncwarp();
 }
 
-// 8 x 8 sums of products of 8 x 4 and 4 x 8 numbers, which tensor cores add to: they take a whole warp. Of the factors lane 4 i + k has entries
-// (i, k) and (k, i), of the sums two neighbours of row i, from column 2 k on.
+// 8 x 8 sums of products of 8 x 4 and 4 x 8 numbers, which tensor cores add to: they take a whole warp. Of the factors
+// lane 4 i + k has entries (i, k) and (k, i), of the sums two neighbours of row i, from column 2 k on.
 #if defined(JAXSCP_EMULATED_GPU)
 void add_products(double (&sums)[2], double a, double b);
 #else
@@ -91,15 +77,6 @@ class Products {
 #pragma unroll
         for (int u = k / 2; u < kTiles; ++u) add_products(k_[s][u], b[k], m(4 * k + column_, 8 * u + row_));
     }
-  }
-
-  // Entries of K.
-  template <typename Put>
-  void each(Put put) const {
-#pragma unroll
-    for (int s = 0; s < kTilesBelow; ++s)
-#pragma unroll
-      for (int u = 0; u < kTiles; ++u) put_tile(s, u, kBelow, kSize, k_[s][u], put);
   }
 
   // Sums as they lie are factors for the next product, whose columns are then taken in another order.
@@ -176,94 +153,25 @@ class Products {
   double k_[kTilesBelow > 0 ? kTilesBelow : 1][kTiles][2] = {};
 };
 
-// Of a node: the panel gets M and K, by columns. Of K K', whose upper half is a and whose lower half b, a a' and b b'
-// (their lower triangles) and a b'.
-template <int kSize, int kRows, typename Below>
-JAXSCP_CALLED void eliminate(PanelShape<kSize, kRows>, double* tile, Below below, double* panel, double* grams) {
-  constexpr int kHalf = (kRows - kSize) / 2;
-  invert_factor<kSize>(tile);
-  Products<kSize, kRows> products(tile);
-  products.find(below);
-  for (int j = 0; j < kSize; ++j)
-    if (int i = lane_of_warp(); i < kSize) panel[j * kRows + i] = tile[j * kSize + i];
-  products.each([&](int i, int j, double v) { panel[j * kRows + kSize + i] = v; });
-  products.each_of_gram([&](int i, int j, double v) {
-    if (i < kHalf) grams[i * kHalf + j] = v;
-    else if (j >= kHalf) grams[kHalf * kHalf + (i - kHalf) * kHalf + j - kHalf] = v;
-    else grams[2 * kHalf * kHalf + j * kHalf + i - kHalf] = v;
-  });
-  __syncwarp();
-}
-
-// out = M' v for the panel's rows from ``kFirst`` to ``kEnd``: four lanes a column. ``v`` begins at row ``kFirst``.
-template <int S, int kRows, int kSize, int kFirst, int kEnd>
-inline void times_transposed(const double* panel, const double* v, double (&sums)[(kSize + 7) / 8][S]) {
+// out = M' v for S vectors side by side, M being upper triangular and given by the columns of that triangle: four lanes a
+// column.
+template <int S, int kSize>
+inline void times_transposed(const double* triangle, const double* v, double* out) {
   const int lane = lane_of_warp(), quarter = lane % 4;
 #pragma unroll
   for (int round = 0; round < (kSize + 7) / 8; ++round) {
     const int j = 8 * round + lane / 4;
-    for (int s = 0; s < S; ++s) sums[round][s] = 0.0;
-#pragma unroll
-    for (int k = 0; k < (kEnd - kFirst + 3) / 4; ++k)
-      if (int i = 4 * k + quarter; i < kEnd - kFirst && j < kSize)
-        for (int s = 0; s < S; ++s) sums[round][s] += panel[j * kRows + kFirst + i] * v[i * S + s];
-  }
-#pragma unroll
-  for (int round = 0; round < (kSize + 7) / 8; ++round)
-    for (int s = 0; s < S; ++s)
-      for (int apart = 1; apart < 4; apart *= 2)
-        sums[round][s] += __shfl_xor_sync(kEvery, sums[round][s], apart);
-}
-
-// put(j, s, v) of what it found: once for each column.
-template <int S, int kSize, typename Put>
-inline void each_of_columns(const double (&sums)[(kSize + 7) / 8][S], Put put) {
-  const int lane = lane_of_warp();
-#pragma unroll
-  for (int round = 0; round < (kSize + 7) / 8; ++round)
-    if (int j = 8 * round + lane / 4; j < kSize && lane % 4 == 0)
-      for (int s = 0; s < S; ++s) put(j, s, sums[round][s]);
-  __syncwarp();
-}
-
-// out = M v for the panel's rows from ``kFirst`` to ``kEnd``: a lane a row.
-template <int S, int kRows, int kSize, int kFirst, int kEnd>
-inline void times(const double* panel, const double* v, double* out) {
-#pragma unroll 1
-  for (int i = kFirst + lane_of_warp(); i < kEnd; i += kWarp) {
     double sums[S] = {};
 #pragma unroll
-    for (int j = 0; j < kSize; ++j)
-      for (int s = 0; s < S; ++s) sums[s] += panel[j * kRows + i] * v[j * S + s];
-    for (int s = 0; s < S; ++s) out[(i - kFirst) * S + s] = sums[s];
+    for (int k = 0; k < 2 * round + 2; ++k)
+      if (int i = 4 * k + quarter; i <= j && j < kSize)
+        for (int s = 0; s < S; ++s) sums[s] += triangle[j * (j + 1) / 2 + i] * v[i * S + s];
+    for (int s = 0; s < S; ++s) {
+      for (int apart = 1; apart < 4; apart *= 2) sums[s] += __shfl_xor_sync(kEvery, sums[s], apart);
+      if (quarter == 0 && j < kSize) out[j * S + s] = sums[s];
+    }
   }
   __syncwarp();
-}
-
-// out = M' right, and K M' right for the rows below.
-template <int S, int kSize, int kRows>
-JAXSCP_CALLED void descend(PanelShape<kSize, kRows>, const double* panel, const double* right, double* out) {
-  double* v = passed();
-  double sums[(kSize + 7) / 8][S];
-  in_team(kSize * S, [&](int k) { v[k] = right[k]; });
-  times_transposed<S, kRows, kSize, 0, kSize>(panel, v, sums);
-  __syncwarp();
-  each_of_columns<S, kSize>(sums, [&](int j, int s, double found) { v[j * S + s] = out[j * S + s] = found; });
-  times<S, kRows, kSize, kSize, kRows>(panel, v, out + kSize * S);
-}
-
-// In place: the first rows become M (v - K' v_below).
-template <int S, int kSize, int kRows>
-JAXSCP_CALLED void ascend(PanelShape<kSize, kRows>, const double* panel, double* v) {
-  constexpr int kBelow = kRows - kSize;
-  static_assert(kBelow * S <= kPassed);
-  double* left = passed();
-  double sums[(kSize + 7) / 8][S];
-  in_team(kBelow * S, [&](int k) { left[k] = v[kSize * S + k]; });
-  times_transposed<S, kRows, kSize, kSize, kRows>(panel, left, sums);
-  __syncwarp();
-  each_of_columns<S, kSize>(sums, [&](int j, int s, double found) { left[j * S + s] = v[j * S + s] - found; });
-  times<S, kRows, kSize, 0, kSize>(panel, left, v);
 }
 
 }  // namespace jaxscp

@@ -91,20 +91,8 @@ struct ProgramLayout {
   explicit ProgramLayout(const Layout&) {}
   static Cone cone_at(int c) { return kLayout.cones[c]; }
 };
-
-// A symmetric matrix whose first ``size`` rows are eliminated, and the rows below them.
-template <int kSize, int kRows>
-struct PanelShape {
-  static constexpr int size = kSize, rows = kRows;
-};
-inline auto node_panel(const ProgramLayout&) { return PanelShape<kLayout.n, kLayout.n + 2 * kLayout.m>(); }
 #else
 using ProgramLayout = Layout;
-
-struct PanelShape {
-  int size, rows;
-};
-inline PanelShape node_panel(const ProgramLayout& g) { return {g.n, g.n + 2 * g.m}; }  // a node and its two links
 #endif
 
 }  // namespace jaxscp

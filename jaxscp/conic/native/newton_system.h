@@ -1,9 +1,8 @@
 // The Newton system of the interior point and its solution, by elimination of cones, nodes and links (``kkt.py``).
 #pragma once
 
-#include "chains.h"
 #include "cones.h"
-#include "eliminations.h"
+#include "nodes.h"
 
 namespace jaxscp {
 
@@ -44,11 +43,7 @@ class NewtonSystem {
   NewtonSystem(const Program& program, Arena& arena)
       : program_(program),
         chain_(program, arena),
-        rows_(node_panel(program).rows),
-        panels_(arena.take(program.packs * rows_ * program.n)),
-        grams_(arena.take(program.packs * 3 * program.m * program.m)),
-        right_(arena.take(program.packs * program.n * kSides)),
-        below_(arena.take(program.packs * rows_ * kSides)) {
+        nodes_(program, arena) {
     for (int s = 0; s < kSides; ++s) {
       wide_[s] = arena.take(program.packs * program.cone.size);
       rx_[s] = arena.take(program.packs * program.primal.size), dx_[s] = arena.take(rx_[s].size);
@@ -64,25 +59,8 @@ class NewtonSystem {
 
   // Eliminate cones and nodes, and factor what remains in the link multipliers.
   JAXSCP_CALLED void factor(const Scaling& scaling, double regularisation) {
-    const Program& g = program_;
-    const int n = g.n, m = g.m;
-    share_among_teams(chain_.packs(), [&](int p) {
-      Pack *panel = &panels_[p * rows_ * n], *room = room_for(node_panel(g), panel);
-      clear(node_panel(g), room);
-      add_hessian(scaling, p, room);
-      in_team(n, [&](int i) { entry(node_panel(g), room, i, i) += regularisation; });
-      eliminate(node_panel(g), room, LinksOf{g, p}, panel, &grams_[p * 3 * m * m]);
-    });
-    auto gram = [&](int q, int k, int i, int j) {
-      return q < 0 ? all(0.0) : g.of_nodes(q, grams_[(q * 3 + k) * m * m + i * m + j]);
-    };
-    auto diagonal = [&](int p, int i, int j) {
-      Pack link = compliance(scaling, p, i, j, regularisation) + gram(p, 0, i, j) +
-                  one_before(gram(p - 1, 1, i, j), gram(p, 1, i, j));
-      return where(within(p, g.nodes + 1), link, all(i == j ? 1.0 : 0.0));
-    };
-    chain_.read(diagonal, [&](int p, int i, int j) { return gram(p, 2, i, j); });
-    chain_.factor();
+    nodes_.factor(chain_, [&](int p, auto hessian, Pack* along) { add_hessian(scaling, regularisation, p, hessian, along); },
+                  [&](int p, int i, int j) { return compliance(scaling, p, i, j, regularisation); });
   }
 
   // Solve [P A'; A -W^2] (x, y) = (rx, ry) for S sides at once. Refinement is against this full system: it brings
@@ -127,28 +105,13 @@ class NewtonSystem {
            });
   }
 
-  // The rows below a node's own: of the link before it, and of the one behind.
-  struct LinksOf {
-    const Program& program;
-    int p;
-
-    Pack operator()(int i, int j) const {
-      return i < program.m ? program.after.entry(p, i, j) : program.before.entry(p, i - program.m, j);
-    }
-    // act(i, j, value) for those that are not zero at all nodes
-    template <typename Act>
-    void each(Act act) const {
-      program.after.each(p, act);
-      program.before.each(p, [&](int i, int j, Pack v) { act(program.m + i, j, v); });
-    }
-  };
-
-  // Lower triangle of P + G' W^-2 G, the trust region's cone with its bound eliminated.
-  void add_hessian(const Scaling& s, int p, Pack* panel) {
+  // Lower triangle of P + G' W^-2 G, the trust region's cone with its bound eliminated. ``along`` is room for a vector.
+  template <typename Triangle>
+  void add_hessian(const Scaling& s, double regularisation, int p, Triangle to, Pack* along) {
     const Program& g = program_;
     const int n = g.n;
     Entries w = g.of_cones(s.w, p);
-    g.hessian.each(p, [&](int i, int j, Pack v) { entry(node_panel(g), panel, i, j) = v; });
+    g.hessian.each(p, [&](int i, int j, Pack v) { to(i, j) = v; });
     Entries weight = g.of_cones(wide_[0], p);
     in_team(g.r, [&](int i) { weight[i] = 1.0 / (w[i] * w[i]); });
     in_team(g.user_cones, [&](int c) {
@@ -156,40 +119,47 @@ class NewtonSystem {
       Pack by = 1.0 / (s.eta_of(p, c) * s.eta_of(p, c));
       for (int i = 0; i < d; ++i) weight[offset + i] = i == 0 ? -by : by;
     });
-    add_squares(g.rows, p, panel, weight);
-    add_squares(g.user, p, panel, weight + g.r);
+    add_squares(g.rows, p, to, weight);
+    add_squares(g.user, p, to, weight + g.r);
     for (int c = 0; c < g.user_cones; ++c) {
       const int offset = g.cone_at(c).offset, d = g.cone_at(c).dimension;
       Pack by = -weight[offset];
-      Pack* along = &right_[p * n * kSides];
       in_team(n, [&](int j) {
         Pack total = w[offset] * g.user.entry(p, offset - g.r, j);
         for (int i = 1; i < d; ++i) total -= w[offset + i] * g.user.entry(p, offset - g.r + i, j);
         along[j] = total;
       });
-      in_team(n, [&](int i) {
-        Pack v = 2.0 * by * along[i];
-        for (int j = 0; j <= i; ++j) entry(node_panel(g), panel, i, j) += v * along[j];
-      });
+      add_square(2.0 * by, along, to);
     }
-    if (!g.has_norm) return;
-    Entries w1 = w + g.trust + 1, scale = g.scale.of(p, n);
-    Pack e = s.eta_of(p, g.trust_cone), by = 1.0 / (e * e), size = soc::dot(w1, w1, n);
-    Pack part = 2.0 / (1.0 + 2.0 * size);
-    in_team(n, [&](int i) {
-      Pack v = by * part * scale[i] * w1[i];
-      for (int j = 0; j <= i; ++j) entry(node_panel(g), panel, i, j) -= v * scale[j] * w1[j];
-      entry(node_panel(g), panel, i, i) += by * scale[i] * scale[i];
+    if (g.has_norm) {
+      Entries w1 = w + g.trust + 1, scale = g.scale.of(p, n);
+      Pack e = s.eta_of(p, g.trust_cone), by = 1.0 / (e * e), size = soc::dot(w1, w1, n);
+      in_team(n, [&](int i) {
+        along[i] = scale[i] * w1[i];
+        to(i, i) += by * scale[i] * scale[i];
+      });
+      add_square(-by * 2.0 / (1.0 + 2.0 * size), along, to);
+    }
+    in_team(n, [&](int i) { to(i, i) += regularisation; });
+  }
+
+  // Adds weight v v'.
+  template <typename Triangle>
+  void add_square(Pack weight, const Pack* v, Triangle to) const {
+    in_team(program_.n, [&](int i) {
+      Pack by = weight * v[i];
+      for (int j = 0; j <= i; ++j) to(i, j) += by * v[j];
     });
   }
 
-  // Adds weight[i] a a' for the rows of a matrix: to a row of the panel after another.
-  void add_squares(const Matrix& matrix, int p, Pack* panel, Entries weight) const {
+  // Adds weight[i] a a' for the rows of a matrix: to a row of the triangle after another.
+  template <typename Triangle>
+  void add_squares(const Matrix& matrix, int p, Triangle to, Entries weight) const {
     Entries a = matrix.at(p);
     in_team(program_.n, [&](int j) {
       matrix.each_of_column(j, [&](int i, int e) {
         Pack v = weight[i] * a[e];
-        for (int f = matrix.start[i]; f <= e; ++f) entry(node_panel(program_), panel, j, matrix.column[f]) += v * a[f];
+        for (int f = matrix.start[i]; f <= e; ++f) to(j, matrix.column[f]) += v * a[f];
       });
     });
   }
@@ -205,35 +175,12 @@ class NewtonSystem {
 
   template <int S>
   JAXSCP_CALLED void solve_once(const Scaling& w, const Side (&sides)[S]) {
-    const Program& g = program_;
-    const int n = g.n, m = g.m;
     reduce<S>(w, sides);
-    share_among_teams(chain_.packs(), [&](int p) {
-      descend<S>(node_panel(g), &panels_[p * rows_ * n], &right_[p * n * kSides], &below_[p * rows_ * kSides]);
-    });
-    auto out = [&](int q, int row, int s) {
-      return q < 0 ? all(0.0) : g.of_nodes(q, below_[q * rows_ * kSides + row * S + s]);
-    };
-    chain_.template solve<S>([&](int p, int i, int s) {
-      Pack here = out(p, n + i, s) - lacks(w, p, i, sides[s].rx, sides[s].ry);
-      here += one_before(out(p - 1, n + m + i, s), out(p, n + m + i, s));  // from the node before the link
-      return g.of_links(p, here);
-    });
-    share_among_teams(chain_.packs(), [&](int p) {
-      Pack* v = &below_[p * rows_ * kSides];
-      in_team(m * S, [&](int k) {
-        int i = k / S, s = k % S;
-        Pack here = chain_.solution(p, i, s);
-        Pack next = p + 1 < chain_.packs() ? chain_.solution(p + 1, i, s) : all(0.0);
-        v[n * S + k] = here;
-        v[(n + m) * S + k] = one_after(here, next);
-      });
-      ascend<S>(node_panel(g), &panels_[p * rows_ * n], v);
-    });
+    nodes_.template solve<S>(chain_, [&](int p, int i, int s) { return lacks(w, p, i, sides[s].rx, sides[s].ry); });
     conclude<S>(w, sides);
   }
 
-  // The right sides of the nodes' variables, cones and bounds eliminated, into ``right_``.
+  // The right sides of the nodes' variables, cones and bounds eliminated.
   template <int S>
   JAXSCP_CALLED void reduce(const Scaling& scaling, const Side (&sides)[S]) {
     const Program& g = program_;
@@ -247,7 +194,7 @@ class NewtonSystem {
       Pack total = g.rows.add_transposed(p, j, g.of_primal(sides[s].rx, p)[j], [&](int i) { return v[i]; });
       total = g.user.add_transposed(p, j, total, [&](int i) { return v[g.r + i]; });
       if (g.has_norm) total -= g.scale.of(p, n)[j] * v[g.trust + 1 + j];
-      right_[p * n * kSides + k] = total;
+      nodes_.right(p)[k] = total;
     });
   }
 
@@ -279,19 +226,18 @@ class NewtonSystem {
     return (1.0 - soft) * qy[g.zero + i] + soft * tail;
   }
 
-  // Everything that was eliminated, from the nodes' variables and the multipliers of the links in ``below_``.
+  // Everything that was eliminated, from the nodes' variables and the multipliers of the links.
   template <int S>
   JAXSCP_CALLED void conclude(const Scaling& scaling, const Side (&sides)[S]) {
     const Program& g = program_;
     const int n = g.n, m = g.m;
     share(g.packs, Parts{(n + m) * S}, [&](int p, int k) {
-      const int i = k / S;
-      const Side& side = sides[k % S];
-      const Pack found = below_[p * rows_ * kSides + k];
+      const int i = k / S, s = k % S;
+      const Side& side = sides[s];
       if (i < n) {
-        g.of_primal(side.x, p)[i] = found;
+        g.of_primal(side.x, p)[i] = nodes_.template solution<S>(p, i, s);
       } else {
-        Pack v = g.soft.of(p, m)[i - n];
+        const Pack found = chain_.solution(p, i - n, s), v = g.soft.of(p, m)[i - n];
         g.of_cones(side.y, p)[g.zero + i - n] = (1.0 - v) * found;
         g.of_cones(side.y, p)[g.virtual_ + 1 + i - n] = v * found;
       }
@@ -339,8 +285,7 @@ class NewtonSystem {
 
   const Program& program_;
   Chain chain_;
-  int rows_;  // of a panel: z, its link, and the link after it
-  Packs panels_, grams_, right_, below_;
+  Nodes nodes_;
   Packs wide_[kSides];  // as ConeVectors: what a phase passes to the next
   Packs trust_shift_[kSides], rx_[kSides], ry_[kSides], dx_[kSides], dy_[kSides];
 };

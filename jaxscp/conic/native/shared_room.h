@@ -15,9 +15,10 @@ inline double* passed() {
 }
 
 constexpr int larger_of(int a, int b) { return a > b ? a : b; }
-constexpr int kTileSize = larger_of(kLayout.n * kLayout.n, kLayout.m * kLayout.m);
-constexpr int kBlockSize = (kLayout.m * kLayout.m + 1) / 2 * 2;  // of the chain, so that it can be fetched
-constexpr int kAhead = 5 * kBlockSize;                           // of an end of the chain
+constexpr int even(int count) { return (count + 1) / 2 * 2; }  // what can be fetched
+constexpr int kTileSize = even(larger_of(kLayout.n * (kLayout.n + 1), kLayout.m * kLayout.m));
+constexpr int kBlockSize = even(kLayout.m * kLayout.m);  // of the chain
+constexpr int kAhead = 6 * kBlockSize;  // of an end of the chain
 // Both ends are eliminated in tiles of two warps; what they fetch is where other warps have theirs.
 constexpr int kSharedRoom = larger_of(kWarps, 2) * kTileSize > 2 * (kTileSize + kAhead)
                                 ? larger_of(kWarps, 2) * kTileSize

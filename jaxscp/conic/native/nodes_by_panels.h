@@ -1,0 +1,91 @@
+// The elimination of the nodes' variables, on a CPU: a panel for each pack of nodes, their Hessian on top and what ties
+// them to the two links next to them below.
+#pragma once
+
+#include "chain_from_ends.h"
+#include "elimination.h"
+
+namespace jaxscp {
+
+class Nodes {
+ public:
+  Nodes(const Program& program, Arena& arena)
+      : program_(program), shape_{program.n, program.n + 2 * program.m}, panel_(shape_.rows * shape_.size),
+        gram_(program.m * program.m), panels_(arena.take(program.packs * panel_)),
+        grams_(arena.take(program.packs * 3 * gram_)), right_(arena.take(program.packs * shape_.size * kSides)),
+        found_(arena.take(program.packs * shape_.rows * kSides)) {}
+
+  // Eliminates them, add(p, Triangle) having added up the lower triangle of each Hessian, and factors what remains in
+  // the links, which have compliance(p, i, j) themselves.
+  template <typename Add, typename Compliance>
+  void factor(Chain& chain, Add add, Compliance compliance) {
+    const Program& g = program_;
+    share_among_teams(g.packs, [&](int p) {
+      Pack* panel = &panels_[p * panel_];
+      std::fill_n(panel, panel_, all(0.0));
+      add(p, Triangle{panel, shape_.size}, &right_[p * shape_.size * kSides]);
+      Pack* below = panel + shape_.size * shape_.size;
+      g.after.each(p, [&](int i, int j, Pack v) { below[i * shape_.size + j] = v; });
+      g.before.each(p, [&](int i, int j, Pack v) { below[(g.m + i) * shape_.size + j] = v; });
+      eliminate(shape_, panel);
+      grams(shape_, panel, &grams_[p * 3 * gram_]);
+    });
+    auto gram = [&](int q, int k, int i, int j) {
+      return q < 0 ? all(0.0) : g.of_nodes(q, grams_[(q * 3 + k) * gram_ + i * g.m + j]);
+    };
+    auto diagonal = [&](int p, int i, int j) {
+      Pack link = compliance(p, i, j) + gram(p, 0, i, j) + one_before(gram(p - 1, 1, i, j), gram(p, 1, i, j));
+      return where(within(p, g.nodes + 1), link, all(i == j ? 1.0 : 0.0));
+    };
+    chain.read(diagonal, [&](int p, int i, int j) { return gram(p, 2, i, j); });
+    chain.factor();
+  }
+
+  // Right sides of the nodes, side by side: row j of side s at j S + s.
+  Entries right(int p) const { return right_.of(p, shape_.size * kSides); }
+
+  // Solves for the nodes and for the links, whose own right sides are lacks(p, i, s).
+  template <int S, typename Lacks>
+  void solve(Chain& chain, Lacks lacks) {
+    const Program& g = program_;
+    const int n = g.n, m = g.m;
+    share_among_teams(g.packs, [&](int p) { descend<S>(shape_, &panels_[p * panel_], right(p), found(p)); });
+    auto below = [&](int p, int i, int s) { return p < 0 ? all(0.0) : g.of_nodes(p, found(p)[(n + i) * S + s]); };
+    chain.template solve<S>([&](int p, int i, int s) {
+      Pack from_before = one_before(below(p - 1, m + i, s), below(p, m + i, s));
+      return g.of_links(p, below(p, i, s) - lacks(p, i, s) + from_before);
+    });
+    share_among_teams(g.packs, [&](int p) {
+      for (int k = 0; k < m * S; ++k) {
+        Pack here = chain.solution(p, k / S, k % S);
+        Pack next = p + 1 < g.packs ? chain.solution(p + 1, k / S, k % S) : all(0.0);
+        found(p)[n * S + k] = here;
+        found(p)[(n + m) * S + k] = one_after(here, next);
+      }
+      ascend<S>(shape_, &panels_[p * panel_], found(p));
+    });
+  }
+
+  // Row j of side s.
+  template <int S>
+  Pack solution(int p, int j, int s) const {
+    return found(p)[j * S + s];
+  }
+
+ private:
+  // Entries (i, j) of a matrix by rows.
+  struct Triangle {
+    Pack* first;
+    int size;
+    Pack& operator()(int i, int j) const { return first[i * size + j]; }
+  };
+
+  Entries found(int p) const { return found_.of(p, shape_.rows * kSides); }
+
+  const Program& program_;
+  PanelShape shape_;
+  int panel_, gram_;
+  Packs panels_, grams_, right_, found_;
+};
+
+}  // namespace jaxscp
