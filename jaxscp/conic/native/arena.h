@@ -2,6 +2,7 @@
 #pragma once
 
 #include "layout.h"
+#include "threads.h"
 
 namespace jaxscp {
 
@@ -53,5 +54,43 @@ class Arena {
   Pack* memory_;
   long long used_ = 0;
 };
+
+// What is read again and again while other numbers pass by. On a GPU shared memory has it, as long as there is room: a
+// cache would lose it, and to find an entry would take two turns to memory.
+#if defined(__CUDACC__)
+class Near {
+ public:
+  // By one thread: where it is to be.
+  int* take(int* far, int count) {
+    if (used() + count > kRoom) return far;
+    used() += count;
+    return integers() + used() - count;
+  }
+  // By all.
+  static void copy(const int* far, int* near, int count) {
+    share(near == far ? 0 : count, [&](int i) { near[i] = far[i]; });
+  }
+
+  Near() {
+    once([&] { used() = 0; });
+  }
+
+ private:
+  static constexpr int kRoom = 768;
+  static int* integers() {
+    __shared__ int room[kRoom];
+    return room;
+  }
+  static int& used() {
+    __shared__ int count;
+    return count;
+  }
+};
+#else
+struct Near {
+  static int* take(int* far, int) { return far; }
+  static void copy(const int*, int*, int) {}
+};
+#endif
 
 }  // namespace jaxscp

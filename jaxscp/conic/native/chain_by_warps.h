@@ -64,11 +64,14 @@ class Chain {
     });
   }
 
-  // For S right sides: right(p, i, s) gives row i of side s, and ``solution`` what is found.
+  // For S right sides: right(l, i, sides) puts row i of each side into ``sides``, and ``solution`` gives what is found.
   template <int S, typename Right>
   void solve(Right right) {
-    share(program_.packs, Parts{m * S}, [&](int p, int k) {
-      if (p < kLinks) vector(p)[k / S * kSides + k % S] = right(p, k / S, k % S);
+    share(program_.packs, Parts{m}, [&](int l, int i) {
+      if (l >= kLinks) return;
+      double sides[S];
+      right(l, i, sides);
+      for (int s = 0; s < S; ++s) vector(l)[i * kSides + s] = sides[s];
     });
     walk<S, false>();
     share_among_teams(kLinks, [&](int l) {
@@ -95,6 +98,7 @@ class Chain {
  private:
   static constexpr int m = ProgramLayout::m, kLinks = ProgramLayout::nodes + 1, kMiddle = kLinks / 2;
   static constexpr int kFetched = kAhead / kBlockSize;  // blocks in use or on their way
+  static constexpr int kTurns = 3;                      // parts of a sum: none waits for the one before
 
   // From an end, 0 or 1: how many blocks, and which is the t-th.
   static int count(int end) { return end == 0 ? kMiddle : kLinks - 1 - kMiddle; }
@@ -111,9 +115,11 @@ class Chain {
   static void multiply(const double* matrix, int down, int along, const double* v, double (&sums)[S]) {
     if (lane_of_warp() >= m) return;
     const double* row = matrix + lane_of_warp() * down;
+    double part[kTurns][S] = {};
 #pragma unroll
     for (int k = 0; k < m; ++k)
-      for (int s = 0; s < S; ++s) sums[s] += row[k * along] * v[k * S + s];
+      for (int s = 0; s < S; ++s) part[k % kTurns][s] += row[k * along] * v[k * S + s];
+    for (int s = 0; s < S; ++s) sums[s] = (part[0][s] + part[1][s]) + part[2][s];
   }
 
   // From block to block, from both ends to the middle: v_next -= T v with what is eliminated; or back: v -= T' v_next.

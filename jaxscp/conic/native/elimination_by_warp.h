@@ -14,30 +14,76 @@ namespace jaxscp {
 
 constexpr unsigned kEvery = 0xffffffff;  // lane of the warp
 
+// 1 / sqrt(v), not a number for what is not positive. Without a way apart for the least and the largest numbers, which
+// would keep two roots from being found at once.
+inline double inverse_root(double v) {
+#if defined(JAXSCP_EMULATED_GPU)
+  return v > 0.0 ? 1.0 / sqrt(v) : sqrt(-1.0);
+#else
+  double y;
+  asm("rsqrt.approx.ftz.f64 %0, %1;" : "=d"(y) : "d"(v));
+  const double error = fma(-v * y, y, 1.0);
+  return fma(y * error, fma(error, 0.375, 0.5), y);
+#endif
+}
+
 // M in place of A, whose lower triangle is given by columns; M's is zero then.
+//
+// Two columns are eliminated at once, whose pivots [a b; b c] need two roots that do not wait for each other: those of a
+// and of its determinant. Of a row whose turn it was nothing is needed any more: from there on its lane has a row of the
+// identity, as if that had been below.
 template <int kSize>
 JAXSCP_CALLED void invert_factor(double* tile) {
+  // small enough, a row's even columns have a lane and its odd ones another
+  constexpr int kHalves = 2 * kSize <= kWarp ? 2 : 1, kOther = kWarp / 2, kSlots = (kSize + kHalves - 1) / kHalves;
+  constexpr int kAtOnce = 4;  // numbers of others that are read before they are used
   static_assert(kSize <= kWarp && 4 * kSize <= kPassed, "a lane for each row");
-  const int lane = lane_of_warp();
-  double row[kSize];  // from the column on that is next
+  struct alignas(16) Both {
+    double column, next;
+  };
+  const int half = kHalves == 2 ? lane_of_warp() / kOther : 0, i = lane_of_warp() - half * kOther;
+  const bool there = i < kSize;
+  double row[kSlots];  // from the column on that is next
 #pragma unroll
-  for (int j = 0; j < kSize; ++j) row[j] = lane < kSize ? tile[j * kSize + lane] : 0.0;
-  for (int i = lane; i < 4 * kSize; i += kWarp) passed()[i] = 0.0;
+  for (int s = 0; s < kSlots; ++s) {
+    const int j = s * kHalves + half;
+    row[s] = there && j < kSize ? tile[j * kSize + i] : 0.0;
+  }
+  Both* eliminated = reinterpret_cast<Both*>(passed());  // zero from kSize on
+  for (int k = lane_of_warp(); k < 2 * kSize; k += kWarp) eliminated[k] = {0.0, 0.0};
   __syncwarp();
 #pragma unroll 1
-  for (int j = 0; j < kSize; ++j) {
-    double scale = rsqrt(__shfl_sync(kEvery, row[0], j));
-    double* column = passed() + j % 2 * 2 * kSize;  // zero from kSize on
-    // what lane j has of A is spent: from here on it has a row of the identity, as if that had been below
-    bool spent = lane == j;
-    double first = (spent ? 1.0 : row[0]) * scale;
-    if (lane < kSize) {
-      column[lane] = first;
-      tile[j * kSize + lane] = lane <= j ? first : 0.0;
+  for (int j = 0; j + 1 < kSize; j += 2) {
+    const double mine = kHalves == 2 ? __shfl_sync(kEvery, row[0], i) : row[0];
+    const double mine_next = kHalves == 2 ? __shfl_sync(kEvery, row[0], i + kOther) : row[1 % kSlots];
+    const double a = __shfl_sync(kEvery, mine, j), b = __shfl_sync(kEvery, mine, j + 1);
+    const double c = __shfl_sync(kEvery, mine_next, j + 1);
+    const double over = inverse_root(a), over_next = a * over * inverse_root(a * c - b * b), between = b * over;
+    const bool turn = i == j, turn_next = i == j + 1, spent = turn || turn_next;
+    const double first = turn ? over : turn_next ? 0.0 : mine * over;
+    const double second = (turn_next ? 1.0 : (turn ? 0.0 : mine_next) - first * between) * over_next;
+    if (there && half == 0) {
+      eliminated[i] = {first, second};
+      tile[j * kSize + i] = i <= j ? first : 0.0;
     }
+    if (there && half == kHalves - 1) tile[(j + 1) * kSize + i] = i <= j + 1 ? second : 0.0;
     __syncwarp();
 #pragma unroll
-    for (int l = 1; l < kSize; ++l) row[l - 1] = (spent ? 0.0 : row[l]) - first * column[j + l];
+    for (int begin = 2 / kHalves; begin < kSlots; begin += kAtOnce) {
+      Both with[kAtOnce];
+#pragma unroll
+      for (int k = 0; k < kAtOnce; ++k)
+        if (begin + k < kSlots) with[k] = eliminated[j + (begin + k) * kHalves + half];
+#pragma unroll
+      for (int k = 0; k < kAtOnce; ++k)
+        if (const int s = begin + k; s < kSlots)
+          row[s - 2 / kHalves] = (spent ? 0.0 : row[s]) - first * with[k].column - second * with[k].next;
+    }
+    __syncwarp();
+  }
+  if (constexpr int j = kSize - 1; kSize % 2 == 1) {
+    const double over = inverse_root(__shfl_sync(kEvery, row[0], j));
+    if (there && half == 0) tile[j * kSize + i] = (i == j ? 1.0 : row[0]) * over;
   }
   __syncwarp();
 }

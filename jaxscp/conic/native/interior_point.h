@@ -39,6 +39,7 @@ class InteriorPoint {
     double q = most(1.0, program_.largest_of(program_.q, program_.primal));
     double b = most(1.0, program_.largest_of(program_.b, program_.cone));
     share(against_.size, [&](int i) { against_[i] = -program_.q[i]; });
+    system_.read();
     once([&] {
       cost_scale_ = cost_scale, tolerance_ = tolerance, size_q_ = q, size_b_ = b;
       iterations = 0;

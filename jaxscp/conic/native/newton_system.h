@@ -57,10 +57,23 @@ class NewtonSystem {
     Packs rx, ry, x, y;
   };
 
+  // Begins with another program.
+  void read() { nodes_.read(); }
+
   // Eliminate cones and nodes, and factor what remains in the link multipliers.
   JAXSCP_CALLED void factor(const Scaling& scaling, double regularisation) {
-    nodes_.factor(chain_, [&](int p, auto hessian, Pack* along) { add_hessian(scaling, regularisation, p, hessian, along); },
-                  [&](int p, int i, int j) { return compliance(scaling, p, i, j, regularisation); });
+    const Program& g = program_;
+    // What eliminated virtual controls leave of links, (W^2)_{11} on soft rows:  eta^2 (2 w1 w1' + 1).
+    auto along = [&](int p, int i) {
+      Pack eta = scaling.eta_of(p, g.virtual_cone);
+      return kRootOfTwo * eta * g.soft.of(p, g.m)[i] * g.of_cones(scaling.w, p)[g.virtual_ + 1 + i];
+    };
+    auto diagonal = [&](int p, int i) {
+      Pack part = scaling.eta_of(p, g.virtual_cone) * g.soft.of(p, g.m)[i];
+      return part * part + regularisation;
+    };
+    auto add = [&](int p, auto to, Pack* room) { add_hessian(scaling, regularisation, p, to, room); };
+    nodes_.factor(chain_, add, along, diagonal);
   }
 
   // Solve [P A'; A -W^2] (x, y) = (rx, ry) for S sides at once. Refinement is against this full system: it brings
@@ -124,9 +137,13 @@ class NewtonSystem {
     for (int c = 0; c < g.user_cones; ++c) {
       const int offset = g.cone_at(c).offset, d = g.cone_at(c).dimension;
       Pack by = -weight[offset];
+      Entries a = g.user.at(p);
       in_team(n, [&](int j) {
-        Pack total = w[offset] * g.user.entry(p, offset - g.r, j);
-        for (int i = 1; i < d; ++i) total -= w[offset + i] * g.user.entry(p, offset - g.r + i, j);
+        Pack total = all(0.0);
+        g.user.each_of_column(j, [&](int e, int row) {
+          const int i = g.r + row - offset;
+          if (i >= 0 && i < d) total += (i == 0 ? w[offset] : -w[offset + i]) * a[e];
+        });
         along[j] = total;
       });
       add_square(2.0 * by, along, to);
@@ -157,20 +174,13 @@ class NewtonSystem {
   void add_squares(const Matrix& matrix, int p, Triangle to, Entries weight) const {
     Entries a = matrix.at(p);
     in_team(program_.n, [&](int j) {
-      matrix.each_of_column(j, [&](int i, int e) {
+      matrix.each_of_column(j, [&](int e, int i) {
         Pack v = weight[i] * a[e];
-        for (int f = matrix.start[i]; f <= e; ++f) to(j, matrix.column[f]) += v * a[f];
+        matrix.each_of_row(i, [&](int f, int other) {
+          if (other <= j) to(j, other) += v * a[f];
+        });
       });
     });
-  }
-
-  // What the eliminated virtual controls leave: (W^2)_{11} on soft rows.
-  Pack compliance(const Scaling& s, int p, int i, int j, double regularisation) const {
-    const Program& g = program_;
-    Entries w1 = g.of_cones(s.w, p) + (g.virtual_ + 1), soft = g.soft.of(p, g.m);
-    Pack by = s.eta_of(p, g.virtual_cone) * s.eta_of(p, g.virtual_cone);
-    Pack v = 2.0 * by * soft[i] * w1[i] * soft[j] * w1[j];
-    return i == j ? v + by * soft[i] * soft[i] + regularisation : v;
   }
 
   template <int S>
@@ -286,6 +296,7 @@ class NewtonSystem {
   const Program& program_;
   Chain chain_;
   Nodes nodes_;
+  static constexpr double kRootOfTwo = 1.4142135623730951;
   Packs wide_[kSides];  // as ConeVectors: what a phase passes to the next
   Packs trust_shift_[kSides], rx_[kSides], ry_[kSides], dx_[kSides], dy_[kSides];
 };

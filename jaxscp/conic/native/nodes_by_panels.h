@@ -15,10 +15,12 @@ class Nodes {
         grams_(arena.take(program.packs * 3 * gram_)), right_(arena.take(program.packs * shape_.size * kSides)),
         found_(arena.take(program.packs * shape_.rows * kSides)) {}
 
+  void read() {}
+
   // Eliminates them, add(p, Triangle) having added up the lower triangle of each Hessian, and factors what remains in
-  // the links, which have compliance(p, i, j) themselves.
-  template <typename Add, typename Compliance>
-  void factor(Chain& chain, Add add, Compliance compliance) {
+  // the links, which have own(p, i) times own(p, j) themselves, and diagonal(p, i) on the diagonal.
+  template <typename Add, typename Own, typename Diagonal>
+  void factor(Chain& chain, Add add, Own own, Diagonal diagonal) {
     const Program& g = program_;
     share_among_teams(g.packs, [&](int p) {
       Pack* panel = &panels_[p * panel_];
@@ -33,11 +35,12 @@ class Nodes {
     auto gram = [&](int q, int k, int i, int j) {
       return q < 0 ? all(0.0) : g.of_nodes(q, grams_[(q * 3 + k) * gram_ + i * g.m + j]);
     };
-    auto diagonal = [&](int p, int i, int j) {
-      Pack link = compliance(p, i, j) + gram(p, 0, i, j) + one_before(gram(p - 1, 1, i, j), gram(p, 1, i, j));
+    auto entry = [&](int p, int i, int j) {
+      Pack compliance = own(p, i) * own(p, j) + (i == j ? diagonal(p, i) : all(0.0));
+      Pack link = compliance + gram(p, 0, i, j) + one_before(gram(p - 1, 1, i, j), gram(p, 1, i, j));
       return where(within(p, g.nodes + 1), link, all(i == j ? 1.0 : 0.0));
     };
-    chain.read(diagonal, [&](int p, int i, int j) { return gram(p, 2, i, j); });
+    chain.read(entry, [&](int p, int i, int j) { return gram(p, 2, i, j); });
     chain.factor();
   }
 

@@ -12,31 +12,51 @@ namespace jaxscp {
 class Nodes {
  public:
   Nodes(const Program& program, Arena& arena)
-      : program_(program), factors_(arena.take(ProgramLayout::nodes * kTriangle)),
+      : program_(program), factors_(arena.take(nodes * kTriangle)), ties_(arena.take(nodes * 2 * m * n)),
         right_(arena.take(program.packs * n * kSides)), left_(arena.take(right_.size)), found_(arena.take(right_.size)) {}
 
+  // Begins with another program: what ties nodes to links, node by node, and where among it an entry is.
+  JAXSCP_CALLED void read() {
+    const Matrix &after = program_.after, &before = program_.before;
+    share(2 * m * n, [&](int k) {
+      const int i = k / n, j = k % n, e = i < m ? after.number(i, j) : before.number(i - m, j);
+      place()[k] = e < 0 ? -1 : i < m ? e : after.entries + e;
+    });
+    share_among_teams(nodes, [&](int p) {
+      double* tie = &ties_[p * 2 * m * n];
+      in_team(after.entries, [&](int e) { tie[e] = after.at(p)[e]; });
+      in_team(before.entries, [&](int e) { tie[after.entries + e] = before.at(p)[e]; });
+    });
+  }
+
   // Eliminates them, add(p, Triangle) having added up the lower triangle of each Hessian, and factors what remains in
-  // the links, which have compliance(p, i, j) themselves.
-  template <typename Add, typename Compliance>
-  JAXSCP_CALLED void factor(Chain& chain, Add add, Compliance compliance) {
+  // the links, which have own(p, i) times own(p, j) themselves, and diagonal(p, i) on the diagonal.
+  template <typename Add, typename Own, typename Diagonal>
+  JAXSCP_CALLED void factor(Chain& chain, Add add, Own own, Diagonal diagonal) {
     share_among_teams(nodes + 1, [&](int p) {
-      double* tile = tile_of_warp();
+      double *tile = tile_of_warp(), *of_link = passed();
+      auto compliance = [&](int i, int j) { return of_link[i] * of_link[j] + (i == j ? of_link[m + i] : 0.0); };
+      auto begin_link = [&] { in_team(m, [&](int i) { of_link[i] = own(p, i), of_link[m + i] = diagonal(p, i); }); };
       if (p == nodes) {  // a link, but no node
-        in_team(m * m, [&](int e) { chain.own(p)[e] = compliance(p, e % m, e / m); });
+        begin_link();
+        in_team(m * m, [&](int e) { chain.own(p)[e] = compliance(e % m, e / m); });
         return;
       }
       in_team(n * n, [&](int e) { tile[e] = 0.0; });
       add(p, Triangle{tile}, passed());
       invert_factor<n>(tile);
       Products<n, n + 2 * m> products(tile);
+      const double* tie = &ties_[p * 2 * m * n];
       products.find([&](int i, int j) {
-        return i < m ? program_.after.entry(p, i, j) : program_.before.entry(p, i - m, j);
+        const int e = place()[i * n + j];
+        return e < 0 ? 0.0 : tie[e];
       });
       double* factor = &factors_[p * kTriangle];
       for (int j = 0; j < n; ++j)
         if (int i = lane_of_warp(); i <= j) factor[j * (j + 1) / 2 + i] = tile[j * n + i];
+      begin_link();
       products.each_of_gram([&](int i, int j, double v) {
-        if (i < m) chain.own(p)[j * m + i] = v + compliance(p, i, j);
+        if (i < m) chain.own(p)[j * m + i] = v + compliance(i, j);
         else if (j >= m) chain.from_before(p + 1)[(j - m) * m + i - m] = v;
         else chain.above(p, j, i - m) = v;
       });
@@ -53,18 +73,30 @@ class Nodes {
   void solve(Chain& chain, Lacks lacks) {
     const Program& g = program_;
     times_inverses<S>(right_);
-    chain.template solve<S>([&](int p, int i, int s) {
-      Pack total = -lacks(p, i, s);
-      if (p < nodes) total += g.after.times(p, i, found(p) + s * n);
-      if (p > 0) total += g.before.times(p - 1, i, found(p - 1) + s * n);
-      return total;
+    chain.template solve<S>([&](int p, int i, double (&total)[S]) {
+      for (int s = 0; s < S; ++s) total[s] = -lacks(p, i, s);
+      auto add = [&](const Matrix& matrix, int p) {
+        Entries a = matrix.at(p), v = found(p);
+        matrix.each_of_row(i, [&](int e, int j) {
+          for (int s = 0; s < S; ++s) total[s] += a[e] * v[s * n + j];
+        });
+      };
+      if (p < nodes) add(g.after, p);
+      if (p > 0) add(g.before, p - 1);
     });
-    share(g.packs, Parts{n * S}, [&](int p, int k) {
+    share(g.packs, Parts{n}, [&](int p, int j) {
       if (p >= nodes) return;
-      const int j = k / S, s = k % S;
-      Pack taken = g.after.add_transposed(p, j, 0.0, [&](int i) { return chain.solution(p, i, s); });
-      taken = g.before.add_transposed(p, j, taken, [&](int i) { return chain.solution(p + 1, i, s); });
-      left_.of(p, n * kSides)[k] = right(p)[k] - taken;
+      double left[S];
+      for (int s = 0; s < S; ++s) left[s] = right(p)[j * S + s];
+      auto take = [&](const Matrix& matrix, int l) {
+        Entries a = matrix.at(p);
+        matrix.each_of_column(j, [&](int e, int i) {
+          for (int s = 0; s < S; ++s) left[s] -= a[e] * chain.solution(l, i, s);
+        });
+      };
+      take(g.after, p);
+      take(g.before, p + 1);
+      for (int s = 0; s < S; ++s) left_.of(p, n * kSides)[j * S + s] = left[s];
     });
     times_inverses<S>(left_);
   }
@@ -86,6 +118,10 @@ class Nodes {
   };
 
   Entries found(int p) const { return found_.of(p, n * kSides); }
+  static short* place() {
+    __shared__ short of_entry[2 * m * n];
+    return of_entry;
+  }
 
   // ``found_`` = A^-1 v at all nodes; factors are fetched one ahead of their use.
   template <int S>
@@ -103,13 +139,13 @@ class Nodes {
         in_team(n * S, [&](int k) { v[k] = from.of(p, n * kSides)[k]; });
         wait_for_fetched<1>();
         times_transposed<S, n>(room(p), v, u);
-        double sums[S] = {};
         if (lane < n) {
+          double part[2][S] = {};  // in turn: neither waits for the one before
 #pragma unroll
           for (int j = 0; j < n; ++j)
             if (j >= lane)
-              for (int s = 0; s < S; ++s) sums[s] += room(p)[j * (j + 1) / 2 + lane] * u[j * S + s];
-          for (int s = 0; s < S; ++s) found(p)[s * n + lane] = sums[s];
+              for (int s = 0; s < S; ++s) part[j % 2][s] += room(p)[j * (j + 1) / 2 + lane] * u[j * S + s];
+          for (int s = 0; s < S; ++s) found(p)[s * n + lane] = part[0][s] + part[1][s];
         }
         __syncwarp();
       }
@@ -118,7 +154,7 @@ class Nodes {
   }
 
   const Program& program_;
-  Packs factors_, right_, left_, found_;
+  Packs factors_, ties_, right_, left_, found_;
 };
 
 }  // namespace jaxscp

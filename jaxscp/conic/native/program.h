@@ -40,95 +40,116 @@ JAXSCP_CALLED inline void scatter(Packs from, int offset, int stride, int count,
 class Matrix {
  public:
   Matrix(int rows, int columns, int packs, Arena& arena)
-      : rows(rows), columns(columns), start(arena.take_integers(rows + 1)), column(arena.take_integers(rows * columns)),
-        line(arena.take_integers(rows * columns)), column_start_(arena.take_integers(columns + 1)),
-        entry_(arena.take_integers(rows * columns)), row_(arena.take_integers(rows * columns)),
-        place_(arena.take_integers(rows * columns)), value_(arena.take(packs * rows * columns)) {}
+      : rows(rows), columns(columns), far_{arena.take_integers(rows + 1), arena.take_integers(rows * columns),
+                                           arena.take_integers(columns + 1), arena.take_integers(rows * columns)},
+        near_(far_), place_(arena.take_integers(rows * columns)), value_(arena.take(packs * rows * columns)) {}
 
   // ``from(k, i, j)``: entry (i, j) at node k.
   template <typename From>
-  void read(int nodes, int packs, From from) {
+  void read(int nodes, int packs, Near& near, From from) {
     share(rows * columns, [&](int at) {
       bool filled = false;
       for (int k = 0; k < nodes && !filled; ++k) filled = from(k, at / columns, at % columns) != 0.0;
       place_[at] = filled ? 0 : kNone;
     });
-    list(start, rows, columns, [&](int i, int j) { return i * columns + j; },
-         [&](int e, int i, int j, int at) { line[e] = i, column[e] = j, place_[at] = e; });
-    list(column_start_, columns, rows, [&](int j, int i) { return i * columns + j; },
-         [&](int f, int, int i, int at) { entry_[f] = place_[at], row_[f] = i; });
-    once([&] { entries = start[rows]; });
+    list(far_.row_start, rows, columns, [&](int i, int j) { return i * columns + j; },
+         [&](int e, int i, int j, int at) { far_.of_row[e] = pair(i, j), place_[at] = e; });
+    list(far_.column_start, columns, rows, [&](int j, int i) { return i * columns + j; },
+         [&](int f, int, int i, int at) { far_.of_column[f] = pair(i, place_[at]); });
+    once([&] {
+      entries = far_.row_start[rows];
+      near_.row_start = near.take(far_.row_start, rows + 1), near_.of_row = near.take(far_.of_row, entries);
+      near_.column_start = near.take(far_.column_start, columns + 1);
+      near_.of_column = near.take(far_.of_column, entries);
+    });
+    near.copy(far_.row_start, near_.row_start, rows + 1), near.copy(far_.of_row, near_.of_row, entries);
+    near.copy(far_.column_start, near_.column_start, columns + 1);
+    near.copy(far_.of_column, near_.of_column, entries);
     share(packs, Parts{rows}, [&](int p, int i) {
-      for (int e = start[i]; e < start[i + 1]; ++e)
+      each_of_row(i, [&](int e, int j) {
         for (int lane = 0; lane < kWidth; ++lane) {
           int k = p * kWidth + lane;
-          set(at(p)[e], lane, k < nodes ? from(k, i, column[e]) : 0.0);
+          set(at(p)[e], lane, k < nodes ? from(k, i, j) : 0.0);
         }
+      });
     });
   }
 
   Entries at(int pack) const { return value_.of(pack, entries); }
-  Pack entry(int pack, int i, int j) const {
-    const int e = place_[i * columns + j];
-    return e == kNone ? all(0.0) : at(pack)[e];
+  // Which entry of all (i, j) is; negative where it is zero at all nodes.
+  int number(int i, int j) const { return place_[i * columns + j]; }
+
+  // act(e, j) for every filled entry of row i: the e-th of all, in column j.
+  template <typename Act>
+  void each_of_row(int i, Act act) const {
+    const int end = near_.row_start[i + 1];
+#pragma unroll 4
+    for (int e = near_.row_start[i]; e < end; ++e) act(e, second(near_.of_row[e]));
+  }
+  // act(e, i) for every filled entry of column j: the e-th of all, in row i.
+  template <typename Act>
+  void each_of_column(int j, Act act) const {
+    const int end = near_.column_start[j + 1];
+#pragma unroll 4
+    for (int f = near_.column_start[j]; f < end; ++f) act(second(near_.of_column[f]), first(near_.of_column[f]));
+  }
+  // By a team, act(i, j, value) for every filled entry.
+  template <typename Act>
+  void each(int pack, Act act) const {
+    Entries a = at(pack);
+    in_team(entries, [&](int e) { act(first(near_.of_row[e]), second(near_.of_row[e]), a[e]); });
   }
 
   // Row i times v.
   Pack times(int pack, int i, Entries v) const {
     Entries a = at(pack);
     Pack total = all(0.0);
-#pragma unroll 2
-    for (int e = start[i]; e < start[i + 1]; ++e) total += a[e] * v[column[e]];
+    each_of_row(i, [&](int e, int j) { total += a[e] * v[j]; });
     return total;
-  }
-  // By a team, act(i, j, value) for every filled entry.
-  template <typename Act>
-  void each(int pack, Act act) const {
-    Entries a = at(pack);
-    in_team(entries, [&](int e) { act(line[e], column[e], a[e]); });
-  }
-  // act(i, e) for every filled entry of column j: in row i, the e-th of all.
-  template <typename Act>
-  void each_of_column(int j, Act act) const {
-    for (int f = column_start_[j]; f < column_start_[j + 1]; ++f) act(row_[f], entry_[f]);
   }
   // ``total`` and column j times v, whose entries v(i) give.
   template <typename Vector>
   Pack add_transposed(int pack, int j, Pack total, Vector v) const {
     Entries a = at(pack);
-#pragma unroll 2
-    for (int f = column_start_[j]; f < column_start_[j + 1]; ++f) total += a[entry_[f]] * v(row_[f]);
+    each_of_column(j, [&](int e, int i) { total += a[e] * v(i); });
     return total;
   }
 
   int rows, columns;
-  int *start, *column, *line;  // of row i: entries start[i] .. start[i + 1] - 1; and the row of an entry
   int entries = 0;
 
  private:
   static constexpr int kNone = -1;
 
-  // Number the filled places by lines (rows or columns): line i's begin with first[i].
+  // Where the lines' entries begin among all, and of each of these its row and column, or its row and number.
+  struct Index {
+    int *row_start, *of_row, *column_start, *of_column;
+  };
+  static int pair(int first, int second) { return first << 16 | second; }
+  static int first(int pair) { return pair >> 16; }
+  static int second(int pair) { return pair & 0xffff; }
+
+  // Number the filled places by lines (rows or columns): line i's begin with begin[i].
   template <typename Place, typename Put>
-  void list(int* first, int lines, int length, Place place, Put put) {
+  void list(int* begin, int lines, int length, Place place, Put put) {
     share(lines, [&](int i) {
       int count = 0;
       for (int j = 0; j < length; ++j) count += place_[place(i, j)] != kNone;
-      first[i + 1] = count;
+      begin[i + 1] = count;
     });
     once([&] {
-      first[0] = 0;
-      for (int i = 0; i < lines; ++i) first[i + 1] += first[i];
+      begin[0] = 0;
+      for (int i = 0; i < lines; ++i) begin[i + 1] += begin[i];
     });
     share(lines, [&](int i) {
-      int number = first[i];
+      int number = begin[i];
       for (int j = 0; j < length; ++j)
         if (int at = place(i, j); place_[at] != kNone) put(number++, i, j, at);
     });
   }
 
-  int *column_start_, *entry_, *row_;  // of column j: entry_[column_start_[j] ..], and their rows
-  int* place_;                         // of an entry among them all
+  Index far_, near_;
+  int* place_;  // of an entry among them all
   Packs value_;
 };
 
@@ -145,14 +166,15 @@ class Program : public ProgramLayout {
         multiplier_(arena.take(packs * m)) {}
 
   JAXSCP_CALLED void read(const Given& g) {
+    Near near;
     auto matrix = [](const double* from, int rows, int columns) {
       return [=](int k, int i, int j) { return from[(static_cast<long long>(k) * rows + i) * columns + j]; };
     };
-    hessian.read(nodes, packs, matrix(g.hessian, n, n));
-    after.read(nodes, packs, matrix(g.after, m, n));
-    before.read(nodes, packs, matrix(g.before + m * n, m, n));
-    rows.read(nodes, packs, matrix(g.row_matrix, r, n));
-    user.read(nodes, packs, [&](int k, int i, int j) {
+    hessian.read(nodes, packs, near, matrix(g.hessian, n, n));
+    after.read(nodes, packs, near, matrix(g.after, m, n));
+    before.read(nodes, packs, near, matrix(g.before + m * n, m, n));
+    rows.read(nodes, packs, near, matrix(g.row_matrix, r, n));
+    user.read(nodes, packs, near, [&](int k, int i, int j) {
       for (int c = 0;; ++c) {
         int size = sizes.cones[c].count * sizes.cones[c].dimension;
         if (i < size) return g.cones[c].matrix[(static_cast<long long>(k) * size + i) * n + j];

@@ -8,13 +8,13 @@
 namespace jaxscp {
 
 constexpr int kWarps = kThreads / kWarp;
-constexpr int kPassed = 128;
+constexpr int larger_of(int a, int b) { return a > b ? a : b; }
+constexpr int kPassed = 4 * larger_of(kLayout.n, kLayout.m);
 inline double* passed() {
-  __shared__ double numbers[kWarps][kPassed];
+  alignas(16) __shared__ double numbers[kWarps][kPassed];
   return numbers[warp_of_block()];
 }
 
-constexpr int larger_of(int a, int b) { return a > b ? a : b; }
 constexpr int even(int count) { return (count + 1) / 2 * 2; }  // what can be fetched
 constexpr int kTileSize = even(larger_of(kLayout.n * (kLayout.n + 1), kLayout.m * kLayout.m));
 constexpr int kBlockSize = even(kLayout.m * kLayout.m);  // of the chain
