@@ -5,10 +5,11 @@ XLA runs a Newton step as hundreds of operations on arrays of a few kilobytes, a
 Here a step is a few hundred thousand vector instructions on data that stay in the cache. The files, in the order in
 which they build on each other:
 
-    layout.h arena.h           what lies where, several nodes of the chain in one register (``libraries/pack.h``)
     team.h threads.h           who does what: phases that the threads of a team, or of a GPU's block, share
-    elimination.h, elimination_by_warp.h    one panel eliminated, on a CPU and on a GPU
+    layout.h arena.h           what lies where, several nodes of the chain in one register (``libraries/pack.h``)
+    elimination.h, elimination_by_warp.h    one matrix eliminated, on a CPU and on a GPU
     chain_from_ends.h, chain_by_warps.h     the chain of links factored, on a CPU and on a GPU
+    nodes_by_panels.h, nodes_by_warps.h     the nodes eliminated and the chain with them; ``nodes.h`` chooses
     program.h cones.h newton_system.h interior_point.h   the method, the same text on both
     batch.h buffers.h          lanes of a batch, as XLA passes them
     handler.cc                 what XLA calls on a CPU: a thread a lane, or for a single lane all that are free

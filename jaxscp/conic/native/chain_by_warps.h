@@ -24,7 +24,9 @@ class Chain {
   // what it has from the node before it, and entry (i, j) of S_{l,l+1}.
   double* own(int l) const { return &blocks_[l * 3 * kBlockSize]; }
   double* from_before(int l) const { return own(l) + kBlockSize; }
-  double& above(int l, int i, int j) const { return l < kMiddle ? neighbour(l)[i * m + j] : neighbour(l + 1)[j * m + i]; }
+  double& above(int l, int i, int j) const {
+    return l < kMiddle ? neighbour(l)[i * m + j] : neighbour(l + 1)[j * m + i];
+  }
 
   JAXSCP_CALLED void factor() {
     share_among_teams(2, [&](int end) {

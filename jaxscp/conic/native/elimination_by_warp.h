@@ -3,8 +3,8 @@
 //     [ A  B' ]
 //     [ B  0  ]       A = L L',  M = L'^-1,  K = B M
 //
-// M in place of L makes products of solutions: A^-1 = M M'. Lane i has row i of A in its registers while the columns are eliminated
-// one after another; products are for tensor cores.
+// M in place of L makes products of solutions: A^-1 = M M'. Lane i has row i of A in its registers while the columns are
+// eliminated; products are for tensor cores.
 #pragma once
 
 #include "layout.h"
@@ -29,8 +29,8 @@ inline double inverse_root(double v) {
 
 // M in place of A, whose lower triangle is given by columns; M's is zero then.
 //
-// Two columns are eliminated at once, whose pivots [a b; b c] need two roots that do not wait for each other: those of a
-// and of its determinant. Of a row whose turn it was nothing is needed any more: from there on its lane has a row of the
+// Two columns are eliminated at once. Their pivots [a b; b c] need two roots that do not wait for each other: of a and
+// of the determinant. Of a row whose turn it was nothing is needed any more: from there on its lane has a row of the
 // identity, as if that had been below.
 template <int kSize>
 JAXSCP_CALLED void invert_factor(double* tile) {
@@ -199,8 +199,8 @@ class Products {
   double k_[kTilesBelow > 0 ? kTilesBelow : 1][kTiles][2] = {};
 };
 
-// out = M' v for S vectors side by side, M being upper triangular and given by the columns of that triangle: four lanes a
-// column.
+// out = M' v for S vectors side by side, M being upper triangular and given by the columns of that triangle: four lanes
+// a column.
 template <int S, int kSize>
 inline void times_transposed(const double* triangle, const double* v, double* out) {
   const int lane = lane_of_warp(), quarter = lane % 4;

@@ -170,7 +170,8 @@ class InteriorPoint {
     const Iterate& old = iterate_;
     const Residuals& r = residuals_;
     using Total = Totals<1, 0>;
-    const double along = fold(g.packs, Parts{g.primal.size + g.cone.size}, Total::none(), [&](int p, int k, Total& found) {
+    const Parts entries{g.primal.size + g.cone.size};
+    const double along = fold(g.packs, entries, Total::none(), [&](int p, int k, Total& found) {
       if (k < g.primal.size) {
         Pack gradient = 2.0 / old.tau * g.of_primal(r.curved, p)[k] + g.of_primal(g.q, p)[k];
         found.add(0, g.of_places(p, k, g.primal, gradient * g.of_primal(out.x, p)[k]));
@@ -213,7 +214,8 @@ class InteriorPoint {
     const Program& g = program_;
     const double over = 1.0 / iterate_.tau;
     using Total = Totals<1, 0>;
-    const double curvature = fold(g.packs, Parts{g.n + g.r, g.cone_count}, Total::none(), [&](int p, int k, Total& found) {
+    const Parts parts{g.n + g.r, g.cone_count};
+    const double curvature = fold(g.packs, parts, Total::none(), [&](int p, int k, Total& found) {
       Entries w = at(scaling_.w, p), y = at(constant_.y, p);
       if (k < g.n) {
         Entries x = g.of_primal(iterate_.x, p), along = g.of_primal(constant_.x, p);

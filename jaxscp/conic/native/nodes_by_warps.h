@@ -13,7 +13,8 @@ class Nodes {
  public:
   Nodes(const Program& program, Arena& arena)
       : program_(program), factors_(arena.take(nodes * kTriangle)), ties_(arena.take(nodes * 2 * m * n)),
-        right_(arena.take(program.packs * n * kSides)), left_(arena.take(right_.size)), found_(arena.take(right_.size)) {}
+        right_(arena.take(program.packs * n * kSides)), left_(arena.take(right_.size)),
+        found_(arena.take(right_.size)) {}
 
   // Begins with another program: what ties nodes to links, node by node, and where among it an entry is.
   JAXSCP_CALLED void read() {
@@ -109,7 +110,6 @@ class Nodes {
 
  private:
   static constexpr int n = ProgramLayout::n, m = ProgramLayout::m, nodes = ProgramLayout::nodes;
-  static constexpr int kTriangle = even(n * (n + 1) / 2);
 
   // Entries (i, j) of a matrix by columns.
   struct Triangle {
@@ -126,7 +126,7 @@ class Nodes {
   // ``found_`` = A^-1 v at all nodes; factors are fetched one ahead of their use.
   template <int S>
   JAXSCP_CALLED void times_inverses(Packs from) {
-    static_assert(2 * n * kSides <= kPassed && 2 * kTriangle <= kTileSize);
+    static_assert(2 * n * kSides <= kPassed);
     share_among_teams(kWarps, [&](int w) {
       const int lane = lane_of_warp();
       auto room = [&](int p) { return tile_of_warp() + p / kWarps % 2 * kTriangle; };

@@ -238,8 +238,8 @@ class Program : public ProgramLayout {
     return (1.0 - s) * v[zero + i] + s * v[virtual_ + 1 + i];
   }
 
-  // What a place has to do, whatever that is: one part for each of its half-spaces, second-order cones, rows of the zero
-  // cone and variables.
+  // What a place has to do, whatever that is: one part for each of its half-spaces, second-order cones, rows of the
+  // zero cone and variables.
   Parts parts(int sides = 1) const { return {r * sides, cone_count * sides, (m + primal.size) * sides}; }
 
   // Calls, for part k of a place, half_space(at), second_order(at, dimension, cone), zero_row(at) or variable(at):

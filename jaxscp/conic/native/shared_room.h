@@ -1,5 +1,5 @@
-// What the warps of a block have in shared memory: a tile each for what they eliminate, numbers that their lanes pass to
-// each other, and what the chain's two warps fetch ahead of its use.
+// What the warps of a block have in shared memory: a tile each for what they eliminate, numbers that their lanes pass
+// to each other, and what the chain's two warps fetch ahead of its use.
 #pragma once
 
 #include "layout.h"
@@ -16,7 +16,9 @@ inline double* passed() {
 }
 
 constexpr int even(int count) { return (count + 1) / 2 * 2; }  // what can be fetched
-constexpr int kTileSize = even(larger_of(kLayout.n * (kLayout.n + 1), kLayout.m * kLayout.m));
+// Of a node's factor; a tile has room for two.
+constexpr int kTriangle = even(kLayout.n * (kLayout.n + 1) / 2);
+constexpr int kTileSize = even(larger_of(2 * kTriangle, larger_of(kLayout.n * kLayout.n, kLayout.m * kLayout.m)));
 constexpr int kBlockSize = even(kLayout.m * kLayout.m);  // of the chain
 constexpr int kAhead = 6 * kBlockSize;  // of an end of the chain
 // Both ends are eliminated in tiles of two warps; what they fetch is where other warps have theirs.

@@ -12,8 +12,8 @@
 
 namespace jaxscp {
 
-// What is to be done at a place: so much that takes one thread, then so many cones, whose entries lanes of a GPU work on
-// together, and then more that takes one.
+// What is to be done at a place: so much that takes one thread, then so many cones, whose entries lanes of a GPU work
+// on together, and then more that takes one.
 struct Parts {
   int single, cones = 0, rest = 0;
 };
