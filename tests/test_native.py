@@ -43,6 +43,7 @@ SHAPES = {
     "three packs": {"nodes": 17, "variables": 10, "rows": 6, "cones": 2},
     "a link fills a register": {"nodes": 3, "variables": 16},
     "a link fills three": {"nodes": 33, "variables": 46, "rows": 6},
+    "more entries than 16 bits count": {"nodes": 2, "variables": 7, "rows": 10_000},
 }
 
 

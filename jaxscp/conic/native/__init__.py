@@ -20,6 +20,8 @@ The libraries are compiled when the package is installed, if there is a C++ comp
 and in float32, the interior point runs as JAX.
 """
 
+import math
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -32,7 +34,7 @@ from jaxscp.types import Scalar
 
 LIBRARY = libraries.INTERIOR_POINT
 TARGET, _ = LIBRARY.targets
-MAX_GROUPS, MAX_CONES = 32, 256  # of a node, as in ``layout.h``
+MAX_GROUPS, MAX_CONES, MAX_LINES = 32, 256, 1 << 15  # of a node, as in ``layout.h``
 
 
 def serves(program: StagedProgram) -> bool:
@@ -48,7 +50,9 @@ def serves_on_gpu(program: StagedProgram) -> bool:
 def _numbers_fit(program: StagedProgram) -> bool:
     cones = [c.offset.shape[1] for c in program.cones]
     few = len(cones) <= MAX_GROUPS and sum(cones) + 2 <= MAX_CONES
-    return libraries.in_float64(program) and few and program.links.soft.shape[1] > 0
+    links, rows = program.links.soft.shape[1], program.rows.offset.shape[1]
+    lines = max(program.variables, links, rows, sum(math.prod(c.offset.shape[1:]) for c in program.cones))
+    return libraries.in_float64(program) and few and lines <= MAX_LINES and links > 0
 
 
 def call(program: StagedProgram, cost: Scalar, tolerance: Scalar, **settings: float | int):

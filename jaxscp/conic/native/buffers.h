@@ -1,6 +1,8 @@
 // What XLA passes to a handler, read as a batch of programs: the same on every device.
 #pragma once
 
+#include <algorithm>
+
 #include "batch.h"
 #include "xla/ffi/api/ffi.h"
 
@@ -59,12 +61,15 @@ inline ffi::ErrorOr<Shaped> shaped(ffi::RemainingArgs args, ffi::RemainingRets r
   argument(next++, b.tolerance);
   s.sizes.groups = static_cast<int>(args.size() - next - (s.sizes.has_norm ? 3 : 0)) / 2;
   if (s.sizes.groups > kMaxGroups) return ffi::Unexpected(ffi::Error::InvalidArgument("too many groups of cones"));
-  int cones = 2;
+  int cones = 2, rows = 0;
   for (int c = 0; c < s.sizes.groups; ++c) {
     argument(next++, b.cone_matrix[c]);
     argument(next++, b.cone_offset[c], &s.sizes.cones[c].count, &s.sizes.cones[c].dimension);
     cones += s.sizes.cones[c].count;
+    rows += s.sizes.cones[c].count * s.sizes.cones[c].dimension;
   }
+  if (std::max({rows, s.sizes.rows, s.sizes.variables, s.sizes.link_rows}) > kMaxLines)
+    return ffi::Unexpected(ffi::Error::InvalidArgument("too many rows at a node"));
   if (cones > kMaxCones) return ffi::Unexpected(ffi::Error::InvalidArgument("too many cones at a node"));
   if (s.sizes.has_norm)
     for (Input* to : {&b.norm_weight, &b.norm_scale, &b.norm_centre}) argument(next++, *to);

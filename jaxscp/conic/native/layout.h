@@ -14,6 +14,7 @@ constexpr int kTogether = kWidth;
 
 constexpr int kMaxGroups = 32;  // of cones
 constexpr int kMaxCones = 256;  // of a node
+constexpr int kMaxLines = 1 << 15;  // rows or columns of a matrix
 
 struct ConeShape {
   int count, dimension;

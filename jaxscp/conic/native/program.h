@@ -55,7 +55,7 @@ class Matrix {
     list(far_.row_start, rows, columns, [&](int i, int j) { return i * columns + j; },
          [&](int e, int i, int j, int at) { far_.of_row[e] = pair(i, j), place_[at] = e; });
     list(far_.column_start, columns, rows, [&](int j, int i) { return i * columns + j; },
-         [&](int f, int, int i, int at) { far_.of_column[f] = pair(i, place_[at]); });
+         [&](int f, int, int i, int at) { far_.of_column[f] = pair(i, place_[at] - far_.row_start[i]); });
     once([&] {
       entries = far_.row_start[rows];
       near_.row_start = near.take(far_.row_start, rows + 1), near_.of_row = near.take(far_.of_row, entries);
@@ -91,7 +91,10 @@ class Matrix {
   void each_of_column(int j, Act act) const {
     const int end = near_.column_start[j + 1];
 #pragma unroll 4
-    for (int f = near_.column_start[j]; f < end; ++f) act(second(near_.of_column[f]), first(near_.of_column[f]));
+    for (int f = near_.column_start[j]; f < end; ++f) {
+      const int i = first(near_.of_column[f]);
+      act(near_.row_start[i] + second(near_.of_column[f]), i);
+    }
   }
   // By a team, act(i, j, value) for every filled entry.
   template <typename Act>
@@ -121,10 +124,12 @@ class Matrix {
  private:
   static constexpr int kNone = -1;
 
-  // Where the lines' entries begin among all, and of each of these its row and column, or its row and number.
+  // Where the lines' entries begin among all; and of each its row, with its column or its number in the row: in one
+  // integer, so that there is room for them near by.
   struct Index {
     int *row_start, *of_row, *column_start, *of_column;
   };
+  static_assert(kMaxLines <= 1 << 15);
   static int pair(int first, int second) { return first << 16 | second; }
   static int first(int pair) { return pair >> 16; }
   static int second(int pair) { return pair & 0xffff; }
