@@ -31,15 +31,14 @@ class Chain {
   JAXSCP_CALLED void factor() {
     share_among_teams(2, [&](int end) {
       double* tile = tile_of_warp();
-      auto fetched = [&](int t) { return ahead_of(end) + t % 2 * 3 * kBlockSize; };
       auto begin = [&](int t) {
-        if (t < count(end)) fetch(fetched(t), own(link(end, t)), 3 * kBlockSize);
+        if (t < count(end)) fetch(fetched(end, t), own(link(end, t)), 3 * kBlockSize);
       };
       begin(0);
       for (int t = 0; t < count(end); ++t) {
         const int l = link(end, t);
-        double *here = fetched(t), *update = fetched(t - 1 + 2);  // where the last one was
-        const double *before = here + kBlockSize, *next = before + kBlockSize;
+        double* here = fetched(end, t);
+        const double *before = here + kBlockSize, *next = before + kBlockSize, *update = fetched(end, t + 1);
         wait_for_fetched<0>();
         in_team(m * m, [&](int e) { tile[e] = here[e] + (l > 0 ? before[e] : 0.0) - (t > 0 ? update[e] : 0.0); });
         begin(t + 1);
@@ -58,7 +57,7 @@ class Chain {
       in_team(m * m, [&](int e) {
         double v = own(kMiddle)[e] + (kMiddle > 0 ? from_before(kMiddle)[e] : 0.0);
         for (int end = 0; end < 2; ++end)
-          if (count(end) > 0) v -= (ahead_of(end) + (count(end) - 1) % 2 * 3 * kBlockSize)[e];
+          if (count(end) > 0) v -= fetched(end, count(end) - 1)[e];
         tile[e] = v;
       });
       invert_factor<m>(tile);
@@ -108,6 +107,8 @@ class Chain {
 
   // By columns: what ties a block to the one that is eliminated next, whose rows it has.
   double* neighbour(int l) const { return from_before(l) + kBlockSize; }
+  // Where an end's t-th block is fetched, by turns in one of two places; it leaves there what the next takes from it.
+  static double* fetched(int end, int t) { return ahead_of(end) + t % 2 * 3 * kBlockSize; }
   double* vector(int l) const { return &vector_[l * m * kSides]; }
   double& solution(int l, int s) const { return solution_.of(l, m * kSides)[lane_of_warp() * kSides + s]; }
   double* into_middle(int end) const { return &into_middle_[end * m * kSides]; }

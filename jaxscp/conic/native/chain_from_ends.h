@@ -22,8 +22,6 @@ class Chain {
         turned_(arena.take(links_ * height_ * kWidth)), vector_(arena.take(links_ * kSides * height_)),
         solution_(arena.take(packs_ * m_ * kSides)) {}
 
-  int packs() const { return packs_; }
-
   // Takes the matrix: diagonal(p, i, j) of its lower triangle, and above(p, i, j) of S_{l,l+1}.
   template <typename Diagonal, typename Above>
   void read(Diagonal diagonal, Above above) {

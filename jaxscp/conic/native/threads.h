@@ -16,6 +16,7 @@ namespace jaxscp {
 // on together, and then more that takes one.
 struct Parts {
   int single, cones = 0, rest = 0;
+  int count() const { return single + cones + rest; }
 };
 
 #if defined(__CUDACC__)
@@ -84,14 +85,6 @@ inline void put(Out out, int first, int end, Value value) {
 }
 // What is of a cone and not of each lane.
 inline Pack once_of_cone(Pack v) { return lane_of_cone() == 0 ? v : 0.0; }
-
-// The same for what teams keep, place after place: neighbouring threads have neighbouring k.
-template <typename Act>
-inline void share_kept(int packs, int count, Act act) {
-#pragma unroll 1
-  for (int i = threadIdx.x; i < packs * count; i += kThreads) act(i / count, i % count);
-  __syncthreads();
-}
 
 // act(p) for p < count, each by a team: the lanes of a warp.
 template <typename Act>
@@ -163,7 +156,7 @@ inline void share(int count, Act act) {
 
 template <typename Act>
 inline void share(int packs, Parts parts, Act act) {
-  const int count = parts.single + parts.cones + parts.rest;
+  const int count = parts.count();
   auto [begin, end] = mine(packs * count);
   for (int at = begin; at < end;) {
     const int p = at / count, first = p * count, last = std::min(end, first + count);
@@ -171,11 +164,6 @@ inline void share(int packs, Parts parts, Act act) {
     at = last;
   }
   wait();
-}
-
-template <typename Act>
-inline void share_kept(int packs, int count, Act act) {
-  share(packs, Parts{count}, act);
 }
 
 // A team of its own is what a thread is here.
@@ -226,7 +214,7 @@ inline void dismiss() { seat.team->dismiss(); }
 // In an order that does not depend on how many threads there are, so that what is found does not.
 template <typename Found, typename Act>
 inline Found fold(int packs, Parts parts, Found first, Act act) {
-  const int count = parts.single + parts.cones + parts.rest;
+  const int count = parts.count();
   static_assert(Found::kMany <= kFoundTogether);
   constexpr int kTurns = Found::kMany > 1 ? 1 : 4;  // of one alone, parts in turn: none waits for the one before
   Pack* of_packs = seat.team->parts(seat.turn ^= 1);
