@@ -9,8 +9,6 @@ Far from the optimum curvature is projected block by block, which keeps steps sh
 weight has fallen, it is condensed along the chain, which is exact at the end.
 """
 
-from collections.abc import Callable
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -21,7 +19,7 @@ from jaxscp import lanes
 from jaxscp.active_set import active_set, near_limits, nearest_dilation_limit, slacks
 from jaxscp.central_path import Point
 from jaxscp.conic.interior_point import InteriorPoint
-from jaxscp.conic.program import ConicSolution, StagedProgram
+from jaxscp.conic.program import ConicSolver, Multipliers, Near
 from jaxscp.convexify import terminal_cost
 from jaxscp.correction import HOLD, corrected, correction
 from jaxscp.curvature import Chain, Convex, condensed, projected
@@ -74,7 +72,9 @@ class NewtonState(eqx.Module):
     curvature: Float[Array, "intervals inputs inputs"]
     """Second derivatives of the Lagrangian there: kept, because the step after a refused one asks for them again."""
     multipliers: FlightMultipliers
-    """Of the subproblem that led to it."""
+    """Of the subproblem that led to it, of the flight's constraints."""
+    prices: Multipliers
+    """Of its rows."""
     past: Residual
     """The last accepted points, newest first."""
     proximal: Scalar
@@ -130,7 +130,7 @@ class NewtonSCP(eqx.Module):
     correction_rounds: int = eqx.field(default=2, static=True)
     grid: Grid = Grid()
     interior: Interior = Interior()
-    conic: Callable[[StagedProgram], ConicSolution] = InteriorPoint(tolerance=1e-7)
+    conic: ConicSolver = InteriorPoint(tolerance=1e-7)
 
     @property
     def published(self) -> bool:
@@ -166,6 +166,7 @@ class NewtonSCP(eqx.Module):
             linear=linear,
             curvature=curvature,
             multipliers=free,
+            prices=_no_prices(problem, z, linear),
             past=jax.tree.map(lambda v: jnp.broadcast_to(v, (MEMORY, *v.shape)), now),
             proximal=jnp.asarray(self.proximal, z.dtype),
             exact=jnp.zeros((), bool),
@@ -190,7 +191,7 @@ class NewtonSCP(eqx.Module):
         clipped = projected(_scaled(state.curvature, scale))
         hessian, gradient = _model(problem, state, now, clipped, scale)
         program = lifted_program(problem, state.z, state.linear, hessian, gradient, self.virtual_weight)
-        solution = self.conic(program)
+        solution = self.conic(program, 0.0, Near(jnp.zeros_like(program.gradient), state.prices))
 
         multipliers = flight_multipliers(problem, state.linear, solution.multipliers)
         move = node_step(problem, solution.z)
@@ -223,12 +224,12 @@ class NewtonSCP(eqx.Module):
 
         proximal, exact = _adapted(state, ratio, accept, found.chosen)
         past = jax.tree.map(lambda p, v: jnp.concatenate([v[None], p[:-1]]), state.past, new)
-        z, past, kept_linear, kept_curvature, kept_multipliers = jax.lax.cond(
+        z, past, kept_linear, kept_curvature, kept_multipliers, prices = jax.lax.cond(
             accept,
             lambda taken, _: taken,
             lambda _, kept: kept,
-            (candidate, past, linear, curvature, multipliers),
-            (state.z, state.past, state.linear, state.curvature, state.multipliers),
+            (candidate, past, linear, curvature, multipliers, solution.multipliers),
+            (state.z, state.past, state.linear, state.curvature, state.multipliers, state.prices),
         )
         now = jax.tree.map(lambda v: v[0], past)
         defects = jnp.linalg.norm(now.defect, axis=1)
@@ -260,6 +261,7 @@ class NewtonSCP(eqx.Module):
             linear=kept_linear,
             curvature=kept_curvature,
             multipliers=kept_multipliers,
+            prices=prices,
             past=past,
             proximal=proximal,
             exact=exact,
@@ -346,6 +348,20 @@ class NewtonSCP(eqx.Module):
 
 def _scaled(hessian: Float[Array, "*b n n"], scale: Float[Array, "n"]) -> Float[Array, "*b n n"]:
     return hessian * scale * scale[:, None]
+
+
+def _no_prices(
+    problem: OptimalControlProblem, z: Float[Array, "nodes variables"], linear: Linearisation
+) -> Multipliers:
+    """Of a subproblem's rows, none of them active."""
+    inputs = stage_sizes(problem, z[0]).shape[0]
+    like = lambda *shape: jax.ShapeDtypeStruct((problem.nodes, *shape), z.dtype)  # noqa: E731
+    program = jax.eval_shape(
+        lambda hessian, gradient: lifted_program(problem, z, linear, hessian, gradient, 1.0),
+        like(inputs, inputs),
+        like(inputs),
+    )
+    return Multipliers.zeros(program)
 
 
 def _model(

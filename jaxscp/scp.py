@@ -4,7 +4,6 @@
 Under ``vmap`` a lane that has ended keeps its state while others go on.
 """
 
-from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -14,7 +13,7 @@ from jaxtyping import Array, Float
 
 from jaxscp import lanes
 from jaxscp.conic.interior_point import InteriorPoint
-from jaxscp.conic.program import ConicSolution, StagedProgram
+from jaxscp.conic.program import ConicSolver, Multipliers, Near
 from jaxscp.convexify import NormTrustRegion, TrustRegion, convexify
 from jaxscp.discretise import Discretisation, discretise
 from jaxscp.history import History
@@ -77,6 +76,8 @@ class SCPState(eqx.Module):
     status: StatusCode
     done: Flag
     history: History
+    prices: Multipliers
+    """Of the last subproblem."""
 
 
 class SCP(eqx.Module):
@@ -89,7 +90,7 @@ class SCP(eqx.Module):
         tolerance_step: largest |z_k - zref_k| of a converged iterate.
         max_iterations: subproblems allowed.
         substeps: RK4 steps an interval; never fewer than ten, since optimisers exploit the error of four.
-        conic: solver of the subproblems, which is told what accuracy is enough.
+        conic: solver of the subproblems, which is told what accuracy is enough and where the solution may be near.
     """
 
     trust_region: TrustRegion = NormTrustRegion()
@@ -98,7 +99,7 @@ class SCP(eqx.Module):
     tolerance_step: float = 1e-3
     max_iterations: int = eqx.field(default=50, static=True)
     substeps: int = eqx.field(default=10, static=True)
-    conic: Callable[[StagedProgram, Scalar], ConicSolution] = InteriorPoint(tolerance=1e-7)
+    conic: ConicSolver = InteriorPoint(tolerance=1e-7)
 
     @property
     def published(self) -> bool:
@@ -132,12 +133,15 @@ class SCP(eqx.Module):
             status=Status.iteration_limit,
             done=jnp.zeros((), bool),
             history=History(zeros, zeros, zeros, zeros, zeros, zeros, counts),
+            prices=Multipliers.zeros(jax.eval_shape(lambda: self._program(problem, z, flow)[0])),
         )
 
     def step(self, problem: OptimalControlProblem, state: SCPState) -> SCPState:
         """Solve one subproblem and take its answer as the next reference."""
-        program, cost = convexify(problem, state.z, state.flow, self.trust_region, self.virtual_weight)
-        solution = self.conic(program, sufficient_accuracy(state))
+        program, cost = self._program(problem, state.z, state.flow)
+        solution = self.conic(
+            program, sufficient_accuracy(state), Near(state.z, state.prices, state.iterations > 0)
+        )
         good = usable(solution.status) & jnp.all(jnp.isfinite(solution.z))
         z = jnp.where(good, solution.z, state.z)
         flow = discretise(problem, z, self.substeps)
@@ -164,7 +168,13 @@ class SCP(eqx.Module):
             status=Status.where(good, status, solution.status),
             done=~good | (small_step & (closed | _stays(virtual, state))),
             history=jax.tree.map(lambda h, v: h.at[state.iterations].set(v), state.history, row),
+            prices=solution.multipliers,
         )
+
+    def _program(
+        self, problem: OptimalControlProblem, z: Float[Array, "nodes variables"], flow: Discretisation
+    ):
+        return convexify(problem, z, flow, self.trust_region, self.virtual_weight)
 
     def terminate(self, state: SCPState) -> Flag:
         """Whether the loop is over."""

@@ -307,7 +307,7 @@ def test_what_a_name_does_not_tell_is_not_kept(scenario, tmp_path):
     jaxscp.use_cache(tmp_path)
     try:
         assert kept(jaxscp.Planner(nodes=10, method=method), scenario) is not None
-        own_solver = jaxscp.SCP(max_iterations=1, conic=lambda p, a: InteriorPoint()(p, a))
+        own_solver = jaxscp.SCP(max_iterations=1, conic=lambda p, a, n: InteriorPoint()(p, a, n))
         assert kept(jaxscp.Planner(nodes=10, method=own_solver), scenario) is not None
         jax.jit(lambda: kept(PLANNER, scenario) is None or 1 / 0)()
     finally:

@@ -20,6 +20,7 @@ from jaxscp.conic.equilibrate import equilibrate
 from jaxscp.conic.examples import random_program
 from jaxscp.conic.interior_point import InteriorPoint
 from jaxscp.conic.native import gpu
+from jaxscp.conic.program import Multipliers, Near
 
 COMPILER = shutil.which("g++")
 needs_compiler = pytest.mark.skipif(
@@ -66,19 +67,25 @@ def kernel(request, tmp_path_factory):
     return programs, name
 
 
-def iterate(solver, programs):
-    return eqx.filter_jit(jax.vmap(lambda p: solver.iterate(*equilibrate(p))))(programs)
+def iterate(solver, programs, near=None):
+    return eqx.filter_jit(jax.vmap(lambda p, n: solver.iterate(*equilibrate(p), None, n)))(programs, near)
 
 
 @needs_compiler
-def test_steps_are_the_same_and_lanes_do_not_touch(kernel, monkeypatch):
+@pytest.mark.parametrize("from_near", [False, True], ids=["from afar", "from near"])
+def test_steps_are_the_same_and_lanes_do_not_touch(kernel, monkeypatch, from_near):
     programs, name = kernel
     poisoned = eqx.tree_at(lambda p: p.gradient, programs[1], programs[1].gradient * jnp.nan)
     batch = jax.tree.map(lambda *v: jnp.stack(v), programs[0], poisoned, programs[2])
-    expected = iterate(InteriorPoint(max_iterations=STEPS), batch)
+    near = None
+    if from_near:
+        tenth = lambda v: jnp.full(v.shape, 0.1)  # noqa: E731
+        nears = [Near(tenth(p.gradient), jax.tree.map(tenth, Multipliers.zeros(p))) for p in programs]
+        near = jax.tree.map(lambda *v: jnp.stack(v), *nears)
+    expected = iterate(InteriorPoint(max_iterations=STEPS), batch, near)
     monkeypatch.setattr(native, "TARGET", name)
     monkeypatch.setattr(libraries.Library, "available", lambda _: True)
-    found = iterate(InteriorPoint(max_iterations=STEPS), batch)
+    found = iterate(InteriorPoint(max_iterations=STEPS), batch, near)
     assert found.broken.tolist() == [False, True, False]
     np.testing.assert_array_equal(found.iterations, expected.iterations)
     for ours, theirs in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):

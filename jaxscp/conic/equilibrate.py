@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxscp.conic.native import scales as native_scales
-from jaxscp.conic.program import Cones, Links, Multipliers, NormCost, Rows, StagedProgram
+from jaxscp.conic.program import Cones, Links, Multipliers, Near, NormCost, Rows, StagedProgram
 from jaxscp.libraries import choose, in_float64
 from jaxscp.types import Scalar
 
@@ -38,6 +38,15 @@ class Scales(eqx.Module):
         return self.columns * z, Multipliers(
             multipliers.links * self.links / self.cost, multipliers.rows * self.rows / self.cost, cones
         )
+
+    def apply(self, near: Near) -> Near:
+        """Take a point of the given program to the scaled one."""
+        given = near.multipliers
+        cones = tuple(y * self.cost / r[..., None] for y, r in zip(given.cones, self.cones, strict=True))
+        multipliers = Multipliers(
+            given.links * self.cost / self.links, given.rows * self.cost / self.rows, cones
+        )
+        return Near(near.z / self.columns, multipliers, near.known)
 
 
 def equilibrate(program: StagedProgram, rounds: int = 3) -> tuple[StagedProgram, Scales]:

@@ -17,7 +17,8 @@ from jaxscp.conic import cones, kkt, native
 from jaxscp.conic.cones import ConeVector, tree_axpy, tree_dot, tree_max
 from jaxscp.conic.equilibrate import Scales, equilibrate
 from jaxscp.conic.kkt import Primal
-from jaxscp.conic.program import ConicSolution, Multipliers, StagedProgram
+from jaxscp.conic.near import central_start
+from jaxscp.conic.program import ConicSolution, Multipliers, Near, StagedProgram
 from jaxscp.status import Status, StatusCode
 from jaxscp.types import Count, Scalar
 
@@ -35,6 +36,12 @@ class Iterate(eqx.Module):
         """Variables, multipliers and slacks of the program itself, where it is solved."""
         tau = jnp.maximum(self.tau, 1e-12)
         return jax.tree.map(lambda v: v / tau, (self.x, self.y, self.s))
+
+    @classmethod
+    def near(cls, program: StagedProgram, near: Near) -> "Iterate":
+        """The start near a point that is thought to be not far from the solution."""
+        x, y, s, mu = central_start(program, near)
+        return cls(x, y, s, jnp.ones(()), mu)
 
 
 class Residuals(eqx.Module):
@@ -86,7 +93,7 @@ class InteriorPoint(eqx.Module):
         proof_tolerance: residual, relative to what it proves, at which a proof of infeasibility or of
             unboundedness counts: at 1e-6 it still excludes every point of norm below a million.
         loose_tolerance: those at which it counts as almost solved when progress ends earlier.
-        max_iterations: Newton steps allowed.
+        max_iterations: Newton steps allowed, from each start.
         regularisation: added to the diagonal of the (equilibrated) system; its effect is refined away.
         refinements: rounds of iterative refinement for each right-hand side.
         refine_below: error, or that of a proof, from which on there is refinement: far from the end the digits that it
@@ -99,26 +106,30 @@ class InteriorPoint(eqx.Module):
     proof_tolerance: float = eqx.field(default=1e-6, static=True)
     loose_tolerance: float = eqx.field(default=1e-5, static=True)
     max_iterations: int = eqx.field(default=50, static=True)
-    regularisation: float = eqx.field(default=1e-11, static=True)
+    regularisation: float = eqx.field(default=1e-12, static=True)
     refinements: int = eqx.field(default=1, static=True)
     refine_below: float = eqx.field(default=1e-4, static=True)
     equilibration: int = eqx.field(default=3, static=True)
     compiled: bool = eqx.field(default=True, static=True)
 
-    def __call__(self, program: StagedProgram, accuracy: Scalar | float = 0.0) -> ConicSolution:
+    def __call__(
+        self, program: StagedProgram, accuracy: Scalar | float = 0.0, near: Near | None = None
+    ) -> ConicSolution:
         """Solve a program.
 
         Args:
             program: to solve.
             accuracy: relative gap and residuals that are enough, if that is more than the tolerance: steps that an
                 outer iteration has no use for are not taken.
+            near: where the solution is thought to be, which saves steps where it is true. Where it leads nowhere the
+                loop starts again, as without it.
 
         Returns:
             A ``ConicSolution``; ``z`` is always finite, its ``status`` says what it is worth.
         """
         scaled, scales = equilibrate(program, self.equilibration)
         tolerance = jnp.maximum(self.tolerance, jnp.asarray(accuracy, program.gradient.dtype))
-        ended = self.iterate(scaled, scales, tolerance)
+        ended = self.iterate(scaled, scales, tolerance, None if near is None else scales.apply(near))
         x, y, _ = ended.iterate.solution()
         z, multipliers = restored(scaled, scales, x, y)
         return ConicSolution(
@@ -126,33 +137,53 @@ class InteriorPoint(eqx.Module):
         )
 
     def iterate(
-        self, program: StagedProgram, scales: Scales, tolerance: Scalar | float | None = None
+        self,
+        program: StagedProgram,
+        scales: Scales,
+        tolerance: Scalar | float | None = None,
+        near: Near | None = None,
     ) -> Ended:
         """The loop itself, on an equilibrated program; to the solver's own tolerance if to no other."""
         wanted = jnp.asarray(self.tolerance if tolerance is None else tolerance, program.gradient.dtype)
-        program, scales, wanted = _without_derivative((program, scales, wanted))
+        if (
+            near is not None
+        ):  # where nothing is known there is no number to start from, and the loop starts again
+            near = eqx.tree_at(lambda n: n.z, near, jnp.where(near.known, near.z, jnp.nan))
+        program, scales, wanted, near = _without_derivative((program, scales, wanted, near))
         compiled = {}
         if self.compiled and native.serves(program):
             compiled["cpu"] = functools.partial(self._iterate_compiled, native.call)
         if self.compiled and native.serves_on_gpu(program):
             compiled["cuda"] = functools.partial(self._iterate_compiled, native.call_on_gpu)
         if not compiled:
-            return self._iterate(program, scales, wanted)
+            return self._iterate(program, scales, wanted, near)
         if jax.default_backend() == "cpu":  # which spares tracing what another device would run
-            return compiled["cpu"](program, scales, wanted)
-        return jax.lax.platform_dependent(program, scales, wanted, **compiled, default=self._iterate)
+            return compiled["cpu"](program, scales, wanted, near)
+        return jax.lax.platform_dependent(program, scales, wanted, near, **compiled, default=self._iterate)
 
-    def _iterate(self, program: StagedProgram, scales: Scales, tolerance: Scalar) -> Ended:
-        progress = jax.lax.while_loop(
-            lambda p: ~self._finished(p, tolerance),
-            lambda p: self._step(program, scales, p),
-            self._start(program, scales),
-        )
+    def _iterate(self, program: StagedProgram, scales: Scales, tolerance: Scalar, near: Near | None) -> Ended:
+        def steps(start: Progress) -> Progress:
+            most = start.iterations + self.max_iterations
+            return jax.lax.while_loop(
+                lambda p: ~(self._decided(p, tolerance) | p.stalled | p.broken | (p.iterations >= most)),
+                lambda p: self._step(program, scales, p),
+                start,
+            )
+
+        if near is None:
+            progress = steps(self._start(program, scales))
+        else:
+            progress = steps(_started(program, scales, Iterate.near(program, near)))
+            decided = self._decided(progress, tolerance)
+            anew = lambda p: eqx.tree_at(lambda q: q.iterations, self._start(program, scales), p.iterations)  # noqa: E731
+            progress = steps(jax.lax.cond(decided, lambda p: p, anew, progress))
         r = progress.residuals
         measures = r.error, r.infeasibility, r.unboundedness
         return Ended(progress.iterate, *measures, progress.iterations, progress.stalled, progress.broken)
 
-    def _iterate_compiled(self, call, program: StagedProgram, scales: Scales, tolerance: Scalar) -> Ended:
+    def _iterate_compiled(
+        self, call, program: StagedProgram, scales: Scales, tolerance: Scalar, near: Near | None
+    ) -> Ended:
         names = (
             "proof_tolerance",
             "loose_tolerance",
@@ -162,7 +193,7 @@ class InteriorPoint(eqx.Module):
             "refine_below",
         )
         settings = {name: getattr(self, name) for name in names}
-        found = call(program, scales.cost, tolerance, **settings)
+        found = call(program, scales.cost, tolerance, near, **settings)
         z, xi, zeta, y_zero, y_orthant, y_second, s_orthant, s_second, tau, kappa, *measures = found
         y, s = (
             ConeVector(y_zero, y_orthant, y_second),
@@ -197,19 +228,13 @@ class InteriorPoint(eqx.Module):
         _, trust, virtual = kkt.unpack(program, slack.second)
         x = Primal(x.z, trust[:, 0], virtual[:, 0])
         iterate = Iterate(x, cones.lift_inside(y), slack, jnp.ones(()), jnp.ones(()))
-        residuals = _residuals(program, scales, iterate)
-        false = jnp.zeros((), bool)
-        return Progress(iterate, residuals, jnp.zeros((), int), false, ~jnp.isfinite(residuals.error))
+        return _started(program, scales, iterate)
 
-    def _finished(self, progress: Progress, tolerance: Scalar) -> Bool[Array, ""]:
+    def _decided(self, progress: Progress, tolerance: Scalar) -> Bool[Array, ""]:
+        """Whether the program is solved, or there is a proof that it has no solution."""
         r = progress.residuals
-        proof = jnp.minimum(r.infeasibility, r.unboundedness)
-        return (
-            (r.error <= tolerance)
-            | (proof <= self.proof_tolerance)
-            | progress.stalled
-            | progress.broken
-            | (progress.iterations >= self.max_iterations)
+        return (r.error <= tolerance) | (
+            jnp.minimum(r.infeasibility, r.unboundedness) <= self.proof_tolerance
         )
 
     def _step(self, program: StagedProgram, scales: Scales, progress: Progress) -> Progress:
@@ -315,6 +340,12 @@ class _Newton:
         curvature = tree_dot(apart, kkt.times_hessian(self.program, apart))
         spread = tree_dot(y, self.scaling.square(y))
         return -(curvature + spread + self.iterate.kappa / self.iterate.tau)
+
+
+def _started(program: StagedProgram, scales: Scales, iterate: Iterate) -> Progress:
+    residuals = _residuals(program, scales, iterate)
+    none, false = jnp.zeros((), int), jnp.zeros((), bool)
+    return Progress(iterate, residuals, none, false, ~jnp.isfinite(residuals.error))
 
 
 def _residuals(program: StagedProgram, scales: Scales, p: Iterate) -> Residuals:

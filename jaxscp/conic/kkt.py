@@ -53,7 +53,7 @@ def times_constraints(program: StagedProgram, x: Primal) -> ConeVector:
     link = program.links.apply(x.z)
     user = [times(cone.matrix, x.z) for cone in program.cones]
     trust = None if program.norm is None else -program.norm.scale * x.z
-    second = _pack(program, user, -x.xi, trust, -x.zeta, program.links.soft * link)
+    second = pack(program, user, -x.xi, trust, -x.zeta, program.links.soft * link)
     rows = times(program.rows.matrix, x.z)
     return ConeVector((1.0 - program.links.soft) * link, rows, second)
 
@@ -82,7 +82,7 @@ def right_side(program: StagedProgram) -> ConeVector:
     xi = jnp.zeros((0,) if norm is None else norm.weight.shape, program.gradient.dtype)
     trust = None if norm is None else -norm.scale * norm.centre
     user = [cone.offset for cone in program.cones]
-    second = _pack(program, user, xi, trust, jnp.zeros_like(links.weight), links.soft * links.offset)
+    second = pack(program, user, xi, trust, jnp.zeros_like(links.weight), links.soft * links.offset)
     return ConeVector((1.0 - links.soft) * links.offset, program.rows.offset, second)
 
 
@@ -97,7 +97,7 @@ def _cone_dimension(program: StagedProgram) -> int:
     return max(dimensions + ([] if program.norm is None else [1 + program.variables]))
 
 
-def _pack(program: StagedProgram, user, xi, trust, zeta, virtual) -> Float[Array, "cones dimension"]:
+def pack(program: StagedProgram, user, xi, trust, zeta, virtual) -> Float[Array, "cones dimension"]:
     """All second-order cones in one array, padded with zeros: the user's, trust region, virtual control."""
     groups = [v.reshape(-1, v.shape[-1]) for v in user]
     groups += [] if trust is None else [_stack(xi, trust)]
@@ -266,7 +266,7 @@ def _solve_once(program: StagedProgram, scaling: Scaling, factor: Factor, rx: Pr
     trust_y = None
     if program.norm is not None:
         trust_y = -_tail_inverse(trust, program.norm.scale * z + trust_shift)
-    second = _pack(program, user_y, -rx.xi, trust_y, -rx.zeta, soft * link)
+    second = pack(program, user_y, -rx.xi, trust_y, -rx.zeta, soft * link)
     # The bounds follow from the heads of their cones:  -xi - (W^2 y)_0 = ry_0.
     _, trust_head, virtual_head = unpack(program, -ry.second - scaling.second.square(second))
     return (

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy
 
-from jaxscp.conic.program import ConicSolution, Multipliers, StagedProgram
+from jaxscp.conic.program import ConicSolution, Multipliers, Near, StagedProgram
 from jaxscp.conic.quadratic import DEFAULT_FACETS, QuadraticProgram, quadratic_form
 from jaxscp.status import Status, StatusCode
 from jaxscp.types import Scalar
@@ -105,9 +105,11 @@ class OSQP(eqx.Module):
     facets: int = eqx.field(default=DEFAULT_FACETS, static=True)
     polish: bool = eqx.field(default=True, static=True)
 
-    def __call__(self, program: StagedProgram, accuracy: Scalar | float = 0.0) -> ConicSolution:
-        """Solve a program, to the tolerance whatever accuracy is enough; ``z`` is always finite, ``status`` says what
-        it is worth."""
+    def __call__(
+        self, program: StagedProgram, accuracy: Scalar | float = 0.0, near: Near | None = None
+    ) -> ConicSolution:
+        """Solve a program, to the tolerance whatever accuracy is enough and wherever the solution is thought to be;
+        ``z`` is always finite, ``status`` says what it is worth."""
         given = (program.gradient, program.links.offset, program.rows.offset)
         like = jax.tree.map(_shape, (*given, tuple(cone.offset for cone in program.cones)))
         count = jax.ShapeDtypeStruct((), jnp.int32)

@@ -11,6 +11,8 @@ the links between hold the dynamics. V_l is a 0/1 diagonal: a soft row has virtu
 Every array has the chain as its leading axis, so all stage work is batched over it.
 """
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -18,7 +20,7 @@ from jaxtyping import Array, Float
 
 from jaxscp.conic.batched import times, transpose_times
 from jaxscp.status import StatusCode
-from jaxscp.types import Scalar
+from jaxscp.types import Flag, Scalar
 
 
 class Links(eqx.Module):
@@ -119,6 +121,21 @@ class Multipliers(eqx.Module):
     rows: Float[Array, "nodes rows"]
     cones: tuple[Float[Array, "nodes _ _"], ...]
 
+    @classmethod
+    def zeros(cls, program: StagedProgram) -> "Multipliers":
+        """None of them active."""
+        cones = tuple(jnp.zeros_like(cone.offset) for cone in program.cones)
+        return cls(jnp.zeros_like(program.links.offset), jnp.zeros_like(program.rows.offset), cones)
+
+
+class Near(eqx.Module):
+    """Where the solution of a program is thought to be, as that of another program that is like it."""
+
+    z: Float[Array, "nodes variables"]
+    multipliers: Multipliers
+    known: Flag | bool = True
+    """Whether anything is thought of it at all."""
+
 
 class ConicSolution(eqx.Module):
     """What every conic solver returns.
@@ -131,3 +148,7 @@ class ConicSolution(eqx.Module):
     objective: Scalar
     status: StatusCode
     iterations: jax.Array
+
+
+ConicSolver = Callable[[StagedProgram, Scalar | float, Near], ConicSolution]
+"""Solves a program to some accuracy, of which its own tolerance is enough, maybe from a point near the solution."""

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxscp.conic.cones import ConeVector
+from jaxscp.types import Scalar
 
 _TINY = 1e-300  # keeps the direction of a tail of zeros finite
 
@@ -43,7 +44,7 @@ class Pair(eqx.Module):
     """u: directions of the tails, zero where a tail is."""
 
 
-def central_pair(gap: ConeVector, mu: float) -> Pair:
+def central_pair(gap: ConeVector, mu: Scalar | float) -> Pair:
     """The pair with a given gap; the zero cone's slack is zero."""
     norm = jnp.linalg.norm(gap.second[:, 1:], axis=1)
     unit = gap.second[:, 1:] / jnp.maximum(norm, _TINY)[:, None]
@@ -84,7 +85,7 @@ def act(values: Spectrum, unit: Float[Array, "cones tail"], v: ConeVector) -> Co
     return ConeVector(values.zero * v.zero, values.orthant * v.orthant, second)
 
 
-def _split(t: Array, mu: float) -> tuple[Array, Array]:
+def _split(t: Array, mu: Scalar | float) -> tuple[Array, Array]:
     """s and y of a spectral value; the smaller of them from their product, as the difference cancels."""
     large = 0.5 * (jnp.abs(t) + jnp.sqrt(t * t + 4.0 * mu))
     small = mu / large

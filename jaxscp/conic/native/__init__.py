@@ -29,7 +29,7 @@ import numpy as np
 from jaxscp import libraries
 from jaxscp.conic import kkt
 from jaxscp.conic.native import gpu
-from jaxscp.conic.program import StagedProgram
+from jaxscp.conic.program import Near, StagedProgram
 from jaxscp.types import Scalar
 
 LIBRARY = libraries.INTERIOR_POINT
@@ -55,28 +55,40 @@ def _numbers_fit(program: StagedProgram) -> bool:
     return libraries.in_float64(program) and few and lines <= MAX_LINES and links > 0
 
 
-def call(program: StagedProgram, cost: Scalar, tolerance: Scalar, **settings: float | int):
+def call(
+    program: StagedProgram, cost: Scalar, tolerance: Scalar, near: Near | None = None, **settings: float | int
+):
     """Solve an equilibrated program on a CPU.
 
     Args:
         program: in float64.
         cost: what its cost was multiplied by.
         tolerance: relative gap and residuals at which it counts as solved.
+        near: where its solution is thought to be.
         settings: of the ``InteriorPoint``, by its own names.
 
     Returns:
         The arrays of the last iterate, (x, y, s, tau, kappa), then error, infeasibility, unboundedness, iterations,
         stalled, broken; the zero cone's slack, which is zero, is left out.
     """
-    return _call(TARGET, program, cost, tolerance, settings)
+    return _call(TARGET, program, cost, tolerance, near, settings)
 
 
-def call_on_gpu(program: StagedProgram, cost: Scalar, tolerance: Scalar, **settings: float | int):
+def call_on_gpu(
+    program: StagedProgram, cost: Scalar, tolerance: Scalar, near: Near | None = None, **settings: float | int
+):
     """Solve an equilibrated program on the GPU that is JAX's default device; see ``call``."""
-    return _call(gpu.TARGET, program, cost, tolerance, settings | gpu.attributes(program))
+    return _call(gpu.TARGET, program, cost, tolerance, near, settings | gpu.attributes(program))
 
 
-def _call(target: str, program: StagedProgram, cost: Scalar, tolerance: Scalar, attributes: dict):
+def _call(
+    target: str,
+    program: StagedProgram,
+    cost: Scalar,
+    tolerance: Scalar,
+    near: Near | None,
+    attributes: dict,
+):
     q, b = kkt.linear_cost(program), kkt.right_side(program)
     like = lambda v: jax.ShapeDtypeStruct(v.shape, v.dtype)  # noqa: E731
     scalar, flag = jax.ShapeDtypeStruct((), jnp.float64), jax.ShapeDtypeStruct((), jnp.bool_)
@@ -97,6 +109,9 @@ def _call(target: str, program: StagedProgram, cost: Scalar, tolerance: Scalar, 
         arrays += [cone.matrix, cone.offset]
     if norm is not None:
         arrays += [norm.weight, norm.scale, norm.centre]
+    if near is not None:
+        arrays += [near.z, near.multipliers.links, near.multipliers.rows, *near.multipliers.cones]
+    has = {"has_norm": np.int64(norm is not None), "has_near": np.int64(near is not None)}
     results = [*vectors, *[scalar] * 5, count, flag, flag]
     solve = jax.ffi.ffi_call(target, results, vmap_method="broadcast_all")
-    return solve(*arrays, has_norm=np.int64(norm is not None), **attributes)
+    return solve(*arrays, **has, **attributes)

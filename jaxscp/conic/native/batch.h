@@ -15,7 +15,7 @@ using Input = Lanes<const double>;
 using Output = Lanes<double>;
 
 // Of what a handler passes to a kernel: to be raised with every change of ``Batch``, as either may be of another time.
-constexpr long long kVersion = 3;
+constexpr long long kVersion = 4;
 
 struct Batch {
   long long lanes;
@@ -24,6 +24,7 @@ struct Batch {
       tolerance;
   Input cone_matrix[kMaxGroups], cone_offset[kMaxGroups];
   Input norm_weight, norm_scale, norm_centre;
+  Input near_z, near_links, near_rows, near_cones[kMaxGroups];  // nothing where no point is thought to be near
   Output z, xi, zeta, y_zero, y_orthant, y_second, s_orthant, s_second, tau, kappa, error, infeasibility, unboundedness;
   int cones, width;  // second-order cones of all places together, and the largest dimension
   Lanes<long long> iterations;
@@ -34,12 +35,13 @@ inline Given given(const Batch& v, int groups, long long lane) {
   Given g{v.hessian.of(lane),    v.gradient.of(lane),   v.before.of(lane),      v.after.of(lane),
           v.link_offset.of(lane), v.soft.of(lane),       v.link_weight.of(lane), v.row_matrix.of(lane),
           v.row_offset.of(lane), {},                    v.norm_weight.of(lane), v.norm_scale.of(lane),
-          v.norm_centre.of(lane)};
-  for (int c = 0; c < groups; ++c) g.cones[c] = {v.cone_matrix[c].of(lane), v.cone_offset[c].of(lane)};
+          v.norm_centre.of(lane), v.near_z.of(lane),     v.near_links.of(lane),  v.near_rows.of(lane)};
+  for (int c = 0; c < groups; ++c)
+    g.cones[c] = {v.cone_matrix[c].of(lane), v.cone_offset[c].of(lane), v.near_cones[c].of(lane)};
   return g;
 }
 
-// Second-order cones in the order of ``kkt._pack``: the user's groups, trust region, virtual control.
+// Second-order cones in the order of ``kkt.pack``: the user's groups, trust region, virtual control.
 inline void put_cones(const Program& p, Packs from, int cones, int width, double* to) {
   share(cones * width, [&](int i) { to[i] = 0.0; });
   auto group = [&](int offset, ConeShape shape, int places) {
@@ -60,8 +62,9 @@ inline void put_cones(const Program& p, Packs from, int cones, int width, double
 }
 
 inline void solve_lane(const Batch& batch, long long lane, Program& program, InteriorPoint& solver) {
-  program.read(given(batch, program.sizes.groups, lane));
-  solver.run(*batch.cost_scale.of(lane), *batch.tolerance.of(lane));
+  const Given from = given(batch, program.sizes.groups, lane);
+  program.read(from);
+  solver.run(from, *batch.cost_scale.of(lane), *batch.tolerance.of(lane));
 
   const Program& p = program;
   const Iterate& v = solver.iterate();

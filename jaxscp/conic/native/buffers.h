@@ -59,7 +59,9 @@ inline ffi::ErrorOr<Shaped> shaped(ffi::RemainingArgs args, ffi::RemainingRets r
   argument(next++, b.row_offset, nullptr, &s.sizes.rows);
   argument(next++, b.cost_scale);
   argument(next++, b.tolerance);
-  s.sizes.groups = static_cast<int>(args.size() - next - (s.sizes.has_norm ? 3 : 0)) / 2;
+  const bool has_near = integer("has_near") != 0;
+  s.sizes.groups = static_cast<int>(args.size() - next - (s.sizes.has_norm ? 3 : 0) - (has_near ? 3 : 0)) /
+                   (has_near ? 3 : 2);
   if (s.sizes.groups > kMaxGroups) return ffi::Unexpected(ffi::Error::InvalidArgument("too many groups of cones"));
   int cones = 2, rows = 0;
   for (int c = 0; c < s.sizes.groups; ++c) {
@@ -73,6 +75,10 @@ inline ffi::ErrorOr<Shaped> shaped(ffi::RemainingArgs args, ffi::RemainingRets r
   if (cones > kMaxCones) return ffi::Unexpected(ffi::Error::InvalidArgument("too many cones at a node"));
   if (s.sizes.has_norm)
     for (Input* to : {&b.norm_weight, &b.norm_scale, &b.norm_centre}) argument(next++, *to);
+  if (has_near) {
+    for (Input* to : {&b.near_z, &b.near_links, &b.near_rows}) argument(next++, *to);
+    for (int c = 0; c < s.sizes.groups; ++c) argument(next++, b.near_cones[c]);
+  }
 
   auto result = [&](size_t i, auto tag, auto& to, int* first = nullptr, int* second = nullptr) {
     auto v = rets.get<ffi::Buffer<decltype(tag)::value>>(i);

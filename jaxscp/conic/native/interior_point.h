@@ -35,14 +35,16 @@ class InteriorPoint {
     for (Packs* v : {&rx_, &against_}) *v = arena.take(iterate_.x.size);
   }
 
-  void run(double cost_scale, double tolerance) {
+  void run(const Given& given, double cost_scale, double tolerance) {
     double q = most(1.0, program_.largest_of(program_.q, program_.primal));
     double b = most(1.0, program_.largest_of(program_.b, program_.cone));
     share(against_.size, [&](int i) { against_[i] = -program_.q[i]; });
     system_.read();
+    if (given.near_z) program_.read_near(given, iterate_.x, iterate_.y);
     once([&] {
       cost_scale_ = cost_scale, tolerance_ = tolerance, size_q_ = q, size_b_ = b;
-      iterations = 0;
+      iterations = 0, most_ = settings_.max_iterations;
+      near_ = given.near_z;
       started_ = stalled = broken = false;
     });
     work();
@@ -53,8 +55,15 @@ class InteriorPoint {
   void work() {
     while (admit()) {
       if (started_) step();
+      else if (near_) start_near();
       else start();
-      if (finished()) return;
+      if (decided()) return;
+      if (!(stalled || broken || iterations >= most_)) continue;
+      if (!near_) return;
+      once([&] {  // again, from afar
+        near_ = started_ = stalled = broken = false;
+        most_ = iterations + settings_.max_iterations;
+      });
     }
   }
 
@@ -64,10 +73,11 @@ class InteriorPoint {
   bool stalled = false, broken = false;
 
  private:
-  bool finished() const {
+  // Whether the program is solved, or there is a proof that it has no solution.
+  bool decided() const {
     const Residuals& r = residuals_;
     return r.error <= tolerance_ || r.infeasibility <= settings_.proof_tolerance ||
-           r.unboundedness <= settings_.proof_tolerance || stalled || broken || iterations >= settings_.max_iterations;
+           r.unboundedness <= settings_.proof_tolerance;
   }
 
   // Far from the end the digits that cones near their boundary take from a solution are not missed.
@@ -91,7 +101,56 @@ class InteriorPoint {
       if (g.has_norm) g.of_primal(iterate_.x, p)[g.xi] = at(iterate_.s, p)[g.trust];
       g.of_primal(iterate_.x, p)[g.zeta] = at(iterate_.s, p)[g.virtual_];
     });
-    once([&] { iterate_.tau = iterate_.kappa = 1.0; });
+    begin(1.0);
+  }
+
+  // On the central path near the point that was given (``near.py``).
+  JAXSCP_CALLED void start_near() {
+    const Program& g = program_;
+    Residuals& r = residuals_;
+    g.times(iterate_.x, iterate_.y, r.curved, r.y, r.x);
+    using Largest = Totals<0, 1>;
+    const double lack = fold(g.packs, Parts{g.n}, Largest::none(), [&](int p, int j, Largest& found) {
+      Pack v = g.of_primal(r.curved, p)[j] + g.of_primal(r.x, p)[j] + g.of_primal(g.q, p)[j];
+      found.see(0, g.of_nodes(p, magnitude(v)));
+    }).largest(0);
+    const double mu = most(kLeastMu, least(kMostMu, kShareOfLack * lack));
+    g.each(
+        [&](int p, int i) {
+          Entries s = at(iterate_.s, p), y = at(iterate_.y, p);
+          split(at(g.b, p)[i] - at(r.y, p)[i] - y[i], mu, s[i], y[i]);
+        },
+        [&](int p, int i, int d, int c) {
+          Entries s = at(iterate_.s, p) + i, y = at(iterate_.y, p) + i, b = at(g.b, p) + i, ax = at(r.y, p) + i;
+          put(s, 0, d, [&](int j) { return b[j] - ax[j]; });
+          if (c >= g.user_cones) {  // the bound of a norm is the norm
+            Pack norm = soc::tail_norm(s, d);
+            put(s, 0, 1, [&](int) { return norm; });
+            g.of_primal(iterate_.x, p)[c == g.virtual_cone ? g.zeta : g.xi] = norm;
+          }
+          put(s, 0, d, [&](int j) { return s[j] - y[j]; });
+          // of the gap the spectral values, each of which is split
+          const Pack gap = s[0], norm = soc::tail_norm(s, d), over = 1.0 / soc::positive(norm);
+          Pack s_plus, y_plus, s_minus, y_minus;
+          split(gap + norm, mu, s_plus, y_plus);
+          split(gap - norm, mu, s_minus, y_minus);
+          put(y, 1, d, [&](int j) { return 0.5 * (y_plus - y_minus) * over * s[j]; });
+          put(s, 1, d, [&](int j) { return 0.5 * (s_plus - s_minus) * over * s[j]; });
+          put(s, 0, 1, [&](int) { return 0.5 * (s_plus + s_minus); });
+          put(y, 0, 1, [&](int) { return 0.5 * (y_plus + y_minus); });
+        });
+    g.clear_zero_cone(iterate_.s);
+    begin(mu);
+  }
+
+  // s and y of which s y = mu and s - y are given; the smaller of them from their product, as the difference cancels.
+  static void split(Pack gap, double mu, Pack& s, Pack& y) {
+    const Pack large = 0.5 * (magnitude(gap) + root(gap * gap + 4.0 * mu)), small = mu / large;
+    s = where(gap > 0.0, large, small), y = where(gap > 0.0, small, large);
+  }
+
+  void begin(double kappa) {
+    once([&] { iterate_.tau = 1.0, iterate_.kappa = kappa; });
     measure(iterate_, residuals_);
     once([&] {
       started_ = true;
@@ -322,8 +381,10 @@ class InteriorPoint {
   Residuals residuals_, new_residuals_;
   Packs rx_, ry_, lifted_, against_;  // ``against_``: -q
   Packs aimed_, other_;               // of a cone while it is at work
+  static constexpr double kShareOfLack = 0.2, kLeastMu = 0.02, kMostMu = 3.0;  // as in ``near.py``
   double cost_scale_ = 1.0, tolerance_ = 0.0, size_q_ = 1.0, size_b_ = 1.0;
-  bool started_ = false;
+  int most_ = 0;  // iterations
+  bool near_ = false, started_ = false;
 };
 
 }  // namespace jaxscp

@@ -14,9 +14,10 @@ namespace jaxscp {
 struct Given {
   const double *hessian, *gradient, *before, *after, *link_offset, *soft, *link_weight, *row_matrix, *row_offset;
   struct ConeGroup {
-    const double *matrix, *offset;
+    const double *matrix, *offset, *near;
   } cones[kMaxGroups];
   const double *norm_weight, *norm_scale, *norm_centre;
+  const double *near_z, *near_links, *near_rows;  // where the solution is thought to be, if anywhere
 };
 
 // Takes entries of ``size`` numbers at each of the first ``count`` places into packs, ``stride`` packs an entry apart.
@@ -211,6 +212,32 @@ class Program : public ProgramLayout {
       Pack v = soft.of(p, m)[i], d = o[zero + i];
       o[zero + i] = (1.0 - v) * d;
       o[virtual_ + 1 + i] = v * d;
+    });
+  }
+
+  // The point that is thought to be near: its variables without bounds of norms, and its multipliers with as much at the
+  // heads of cones as the prices of these bounds ask for. The trust region's tail is not known, and taken for zero.
+  JAXSCP_CALLED void read_near(const Given& g, Packs x, Packs y) const {
+    share(x.size, [&](int i) { x[i] = all(0.0); });
+    share(y.size, [&](int i) { y[i] = all(0.0); });
+    gather(g.near_z, nodes, n, x, 0, primal.size);
+    gather(g.near_rows, nodes, r, y, 0, cone.size);
+    int at = r;
+    for (int c = 0; c < sizes.groups; ++c) {
+      int size = sizes.cones[c].count * sizes.cones[c].dimension;
+      gather(g.cones[c].near, nodes, size, y, at, cone.size);
+      at += size;
+    }
+    gather(g.near_links, nodes + 1, m, y, zero, cone.size);
+    share(packs, Parts{m}, [&](int p, int i) {
+      Entries v = of_cones(y, p);
+      Pack s = soft.of(p, m)[i], link = v[zero + i];
+      v[zero + i] = (1.0 - s) * link;
+      v[virtual_ + 1 + i] = s * link;
+    });
+    share(packs, Parts{1}, [&](int p, int) {
+      of_cones(y, p)[virtual_] = of_primal(q, p)[zeta];
+      if (has_norm) of_cones(y, p)[trust] = of_primal(q, p)[xi];
     });
   }
 
