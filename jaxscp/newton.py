@@ -191,7 +191,8 @@ class NewtonSCP(eqx.Module):
         clipped = projected(_scaled(state.curvature, scale))
         hessian, gradient = _model(problem, state, now, clipped, scale)
         program = lifted_program(problem, state.z, state.linear, hessian, gradient, self.virtual_weight)
-        solution = self.conic(program, 0.0, Near(jnp.zeros_like(program.gradient), state.prices))
+        near = Near(jnp.zeros_like(program.gradient), state.prices, state.iterations > 0)
+        solution = self.conic(program, 0.0, near)
 
         multipliers = flight_multipliers(problem, state.linear, solution.multipliers)
         move = node_step(problem, solution.z)
