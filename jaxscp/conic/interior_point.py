@@ -17,6 +17,7 @@ from jaxscp.conic import cones, kkt, native
 from jaxscp.conic.cones import ConeVector, tree_axpy, tree_dot, tree_max
 from jaxscp.conic.equilibrate import Scales, equilibrate
 from jaxscp.conic.kkt import Primal
+from jaxscp.conic.near import REGULARISATION as NEAR_REGULARISATION
 from jaxscp.conic.near import central_start
 from jaxscp.conic.program import ConicSolution, Multipliers, Near, StagedProgram
 from jaxscp.status import Status, StatusCode
@@ -94,7 +95,8 @@ class InteriorPoint(eqx.Module):
             unboundedness counts: at 1e-6 it still excludes every point of norm below a million.
         loose_tolerance: those at which it counts as almost solved when progress ends earlier.
         max_iterations: Newton steps allowed, from each start.
-        regularisation: added to the diagonal of the (equilibrated) system; its effect is refined away.
+        regularisation: added to the diagonal of the (equilibrated) system; its effect is refined away. A tenth of it
+            where the loop starts near, which needs the digits.
         refinements: rounds of iterative refinement for each right-hand side.
         refine_below: error, or that of a proof, from which on there is refinement: far from the end the digits that it
             brings back are not missed.
@@ -106,7 +108,7 @@ class InteriorPoint(eqx.Module):
     proof_tolerance: float = eqx.field(default=1e-6, static=True)
     loose_tolerance: float = eqx.field(default=1e-5, static=True)
     max_iterations: int = eqx.field(default=50, static=True)
-    regularisation: float = eqx.field(default=1e-12, static=True)
+    regularisation: float = eqx.field(default=1e-11, static=True)
     refinements: int = eqx.field(default=1, static=True)
     refine_below: float = eqx.field(default=1e-4, static=True)
     equilibration: int = eqx.field(default=3, static=True)
@@ -162,18 +164,19 @@ class InteriorPoint(eqx.Module):
         return jax.lax.platform_dependent(program, scales, wanted, near, **compiled, default=self._iterate)
 
     def _iterate(self, program: StagedProgram, scales: Scales, tolerance: Scalar, near: Near | None) -> Ended:
-        def steps(start: Progress) -> Progress:
+        def steps(start: Progress, regularisation: float = self.regularisation) -> Progress:
             most = start.iterations + self.max_iterations
             return jax.lax.while_loop(
                 lambda p: ~(self._decided(p, tolerance) | p.stalled | p.broken | (p.iterations >= most)),
-                lambda p: self._step(program, scales, p),
+                lambda p: self._step(program, scales, p, regularisation),
                 start,
             )
 
         if near is None:
             progress = steps(self._start(program, scales))
         else:
-            progress = steps(_started(program, scales, Iterate.near(program, near)))
+            start = _started(program, scales, Iterate.near(program, near))
+            progress = steps(start, NEAR_REGULARISATION * self.regularisation)
             decided = self._decided(progress, tolerance)
             anew = lambda p: eqx.tree_at(lambda q: q.iterations, self._start(program, scales), p.iterations)  # noqa: E731
             progress = steps(jax.lax.cond(decided, lambda p: p, anew, progress))
@@ -237,11 +240,13 @@ class InteriorPoint(eqx.Module):
             jnp.minimum(r.infeasibility, r.unboundedness) <= self.proof_tolerance
         )
 
-    def _step(self, program: StagedProgram, scales: Scales, progress: Progress) -> Progress:
+    def _step(
+        self, program: StagedProgram, scales: Scales, progress: Progress, regularisation: float
+    ) -> Progress:
         old, r = progress.iterate, progress.residuals
         near = jnp.minimum(r.error, jnp.minimum(r.infeasibility, r.unboundedness)) < self.refine_below
         refinements = jnp.where(near, self.refinements, 0) if self.refinements else 0
-        newton = _Newton(program, old, self.regularisation, refinements)
+        newton = _Newton(program, old, regularisation, refinements)
 
         affine = newton.predictor(r)
         sigma = (1.0 - _longest_step(old, affine)) ** 3

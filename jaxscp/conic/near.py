@@ -18,6 +18,7 @@ from jaxscp.types import Scalar
 # mu, in equilibrated units, is this share of the largest residual of stationarity, within limits: found by trial on
 # subproblems of both missions in both modes
 SHARE, LEAST, MOST = 0.2, 0.02, 3.0
+REGULARISATION = 0.1  # of the usual, of which a few that start near would end short of their tolerance
 
 
 def central_start(program: StagedProgram, near: Near) -> tuple[Primal, ConeVector, ConeVector, Scalar]:

@@ -173,7 +173,7 @@ class InteriorPoint {
     const Iterate& old = iterate_;
     const int rounds = refinements();
     scaling_.set(old.s, old.y);
-    system_.factor(scaling_, settings_.regularisation);
+    system_.factor(scaling_, (near_ ? kNearRegularisation : 1.0) * settings_.regularisation);
 
     // the affine direction, which aims at s = 0, and the constant one, which both steps share
     share(rx_.size + ry_.size, [&](int i) {
@@ -381,7 +381,8 @@ class InteriorPoint {
   Residuals residuals_, new_residuals_;
   Packs rx_, ry_, lifted_, against_;  // ``against_``: -q
   Packs aimed_, other_;               // of a cone while it is at work
-  static constexpr double kShareOfLack = 0.2, kLeastMu = 0.02, kMostMu = 3.0;  // as in ``near.py``
+  // as in ``near.py``
+  static constexpr double kShareOfLack = 0.2, kLeastMu = 0.02, kMostMu = 3.0, kNearRegularisation = 0.1;
   double cost_scale_ = 1.0, tolerance_ = 0.0, size_q_ = 1.0, size_b_ = 1.0;
   int most_ = 0;  // iterations
   bool near_ = false, started_ = false;
