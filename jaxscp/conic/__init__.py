@@ -7,6 +7,7 @@ from jaxscp.conic.program import Cones as Cones
 from jaxscp.conic.program import ConicSolution as ConicSolution
 from jaxscp.conic.program import Links as Links
 from jaxscp.conic.program import Multipliers as Multipliers
+from jaxscp.conic.program import Near as Near
 from jaxscp.conic.program import NormCost as NormCost
 from jaxscp.conic.program import Rows as Rows
 from jaxscp.conic.program import StagedProgram as StagedProgram

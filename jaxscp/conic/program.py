@@ -129,7 +129,18 @@ class Multipliers(eqx.Module):
 
 
 class Near(eqx.Module):
-    """Where the solution of a program is thought to be, as that of another program that is like it."""
+    """Where the solution of a program is thought to be: at that of another program that is like it, say.
+
+    Example:
+        >>> from jaxscp.conic import Near
+        >>> from jaxscp.conic.examples import random_program
+        >>> from jaxscp.conic.interior_point import InteriorPoint
+        >>> program = random_program(0, norm=False)
+        >>> before = InteriorPoint()(program)
+        >>> again = InteriorPoint()(program, near=Near(before.z, before.multipliers))
+        >>> int(again.iterations) < int(before.iterations)
+        True
+    """
 
     z: Float[Array, "nodes variables"]
     multipliers: Multipliers
