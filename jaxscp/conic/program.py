@@ -136,8 +136,9 @@ class Near(eqx.Module):
         >>> from jaxscp.conic.examples import random_program
         >>> from jaxscp.conic.interior_point import InteriorPoint
         >>> program = random_program(0, norm=False)
-        >>> before = InteriorPoint()(program)
-        >>> again = InteriorPoint()(program, near=Near(before.z, before.multipliers))
+        >>> solver = InteriorPoint(tolerance=1e-4)
+        >>> before = solver(program)
+        >>> again = solver(program, near=Near(before.z, before.multipliers))
         >>> int(again.iterations) < int(before.iterations)
         True
     """
