@@ -21,7 +21,7 @@ from jax.experimental import serialize_executable
 
 from jaxscp import libraries
 
-FORMAT = 6
+FORMAT = 7
 PROGRAMS = ("setup", "solve", "conclude")
 COMPILED = (libraries.ON_GPU, *(target for library in libraries.EVERY for target in library.targets))
 """What programs may call that was compiled at installation."""
