@@ -147,9 +147,8 @@ class InteriorPoint(eqx.Module):
     ) -> Ended:
         """The loop itself, on an equilibrated program; to the solver's own tolerance if to no other."""
         wanted = jnp.asarray(self.tolerance if tolerance is None else tolerance, program.gradient.dtype)
-        if (
-            near is not None
-        ):  # where nothing is known there is no number to start from, and the loop starts again
+        if near is not None:
+            # where nothing is known there is no number to start from, and the loop starts again
             near = eqx.tree_at(lambda n: n.z, near, jnp.where(near.known, near.z, jnp.nan))
         program, scales, wanted, near = _without_derivative((program, scales, wanted, near))
         compiled = {}

@@ -190,51 +190,23 @@ class Program : public ProgramLayout {
     gather(g.soft, nodes + 1, m, soft, 0, m);
 
     share(q.size, [&](int i) { q[i] = all(0.0); });
-    share(b.size, [&](int i) { b[i] = all(0.0); });
     gather(g.gradient, nodes, n, q, 0, primal.size);
     gather(g.link_weight, nodes + 1, 1, q, zeta, primal.size);
-    gather(g.row_offset, nodes, r, b, 0, cone.size, 1.0);
-    int at = r;
-    for (int c = 0; c < sizes.groups; ++c) {
-      int size = sizes.cones[c].count * sizes.cones[c].dimension;
-      gather(g.cones[c].offset, nodes, size, b, at, cone.size);
-      at += size;
-    }
+    gather_cones(g, g.row_offset, 1.0, &Given::ConeGroup::offset, g.link_offset, b);
     if (has_norm) {
       gather(g.norm_weight, nodes, 1, q, xi, primal.size);
       gather(g.norm_scale, nodes, n, scale, 0, n);
       gather(g.norm_centre, nodes, n, b, trust + 1, cone.size);
       share(packs, Parts{n}, [&](int p, int i) { of_cones(b, p)[trust + 1 + i] *= -scale.of(p, n)[i]; });
     }
-    gather(g.link_offset, nodes + 1, m, b, zero, cone.size);
-    share(packs, Parts{m}, [&](int p, int i) {
-      Entries o = of_cones(b, p);
-      Pack v = soft.of(p, m)[i], d = o[zero + i];
-      o[zero + i] = (1.0 - v) * d;
-      o[virtual_ + 1 + i] = v * d;
-    });
   }
 
   // The point that is thought to be near: its variables without bounds of norms, and its multipliers with as much at the
   // heads of cones as the prices of these bounds ask for. The trust region's tail is not known, and taken for zero.
   JAXSCP_CALLED void read_near(const Given& g, Packs x, Packs y) const {
     share(x.size, [&](int i) { x[i] = all(0.0); });
-    share(y.size, [&](int i) { y[i] = all(0.0); });
     gather(g.near_z, nodes, n, x, 0, primal.size);
-    gather(g.near_rows, nodes, r, y, 0, cone.size);
-    int at = r;
-    for (int c = 0; c < sizes.groups; ++c) {
-      int size = sizes.cones[c].count * sizes.cones[c].dimension;
-      gather(g.cones[c].near, nodes, size, y, at, cone.size);
-      at += size;
-    }
-    gather(g.near_links, nodes + 1, m, y, zero, cone.size);
-    share(packs, Parts{m}, [&](int p, int i) {
-      Entries v = of_cones(y, p);
-      Pack s = soft.of(p, m)[i], link = v[zero + i];
-      v[zero + i] = (1.0 - s) * link;
-      v[virtual_ + 1 + i] = s * link;
-    });
+    gather_cones(g, g.near_rows, 0.0, &Given::ConeGroup::near, g.near_links, y);
     share(packs, Parts{1}, [&](int p, int) {
       of_cones(y, p)[virtual_] = of_primal(q, p)[zeta];
       if (has_norm) of_cones(y, p)[trust] = of_primal(q, p)[xi];
@@ -316,6 +288,27 @@ class Program : public ProgramLayout {
   }
 
  private:
+  // A ConeVector of numbers of half-spaces, which are ``beyond`` past the chain's end, of the user's cones, and of links:
+  // those of hard rows are in the zero cone, of soft ones in the virtual control's. All else is zero.
+  JAXSCP_CALLED void gather_cones(const Given& g, const double* of_rows, double beyond,
+                                  const double* Given::ConeGroup::*of_cone, const double* of_links, Packs to) const {
+    share(to.size, [&](int i) { to[i] = all(0.0); });
+    gather(of_rows, nodes, r, to, 0, cone.size, beyond);
+    int at = r;
+    for (int c = 0; c < sizes.groups; ++c) {
+      int size = sizes.cones[c].count * sizes.cones[c].dimension;
+      gather(g.cones[c].*of_cone, nodes, size, to, at, cone.size);
+      at += size;
+    }
+    gather(of_links, nodes + 1, m, to, zero, cone.size);
+    share(packs, Parts{m}, [&](int p, int i) {
+      Entries v = of_cones(to, p);
+      Pack s = soft.of(p, m)[i], link = v[zero + i];
+      v[zero + i] = (1.0 - s) * link;
+      v[virtual_ + 1 + i] = s * link;
+    });
+  }
+
   // Row k of A x, of half-spaces, the user's cones, links and bounds with the norm's arguments; v is x.
   void put_constraint(int p, int k, Entries v, Entries out) const {
     if (k < r) {
