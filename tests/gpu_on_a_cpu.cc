@@ -105,7 +105,10 @@ inline double exchanged(double v, int from) {
   __syncwarp();
   return found;
 }
-inline double __shfl_sync(unsigned, double v, int from) { return exchanged(v, from); }
+template <typename T>
+inline T __shfl_sync(unsigned, T v, int from) {
+  return static_cast<T>(exchanged(static_cast<double>(v), from));
+}
 inline double __shfl_xor_sync(unsigned, double v, int apart) {
   return exchanged(v, threadIdx.x % emulated::kWarpSize ^ apart);
 }

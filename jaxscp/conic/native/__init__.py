@@ -7,6 +7,7 @@ which they build on each other:
 
     team.h threads.h           who does what: phases that the threads of a team, or of a GPU's block, share
     layout.h arena.h           what lies where, several nodes of the chain in one register (``libraries/pack.h``)
+    held.h                     what a cone has of a vector, in registers while a GPU works on it
     elimination.h, elimination_by_warp.h    one matrix eliminated, on a CPU and on a GPU
     chain_from_ends.h, chain_by_warps.h     the chain of links factored, on a CPU and on a GPU
     nodes_by_panels.h, nodes_by_warps.h     the nodes eliminated and the chain with them; ``nodes.h`` chooses

@@ -6,13 +6,25 @@
 
 namespace jaxscp {
 
+#if defined(__CUDACC__)
+// A number of an array. Said to the compiler, which need not read again after each what is in shared memory: where
+// arrays begin, say.
+inline double& in_global_memory(double* number) {
+#if !defined(JAXSCP_EMULATED_GPU)
+  __builtin_assume(__isGlobal(number));
+#endif
+  return *number;
+}
+#endif
+
 // The numbers that a vector has at one place. On a GPU those of neighbouring places, which neighbouring threads work
 // on, lie side by side.
 #if defined(__CUDACC__)
 struct Entries {
-  double* first;
-  double& operator[](int i) const { return first[i * kLayout.packs]; }
-  Entries operator+(int i) const { return {first + i * kLayout.packs}; }
+  double* array;
+  unsigned first;
+  double& operator[](int i) const { return in_global_memory(array + (first + i * kLayout.packs)); }
+  Entries operator+(int i) const { return {array, first + i * kLayout.packs}; }
 };
 #else
 using Entries = Pack*;
@@ -22,11 +34,15 @@ using Entries = Pack*;
 struct Packs {
   Pack* data = nullptr;
   int size = 0;
+#if defined(__CUDACC__)
+  Pack& operator[](int i) const { return in_global_memory(data + i); }
+#else
   Pack& operator[](int i) const { return data[i]; }
+#endif
 
   // Those at pack p, of ``count`` at every pack.
 #if defined(__CUDACC__)
-  Entries of(int p, int) const { return {data + p}; }
+  Entries of(int p, int) const { return {data, static_cast<unsigned>(p)}; }
 #else
   Entries of(int p, int count) const { return data + p * count; }
 #endif

@@ -15,24 +15,29 @@ struct Iterate {
   Packs x, y, s;
   double tau = 1.0, kappa = 1.0;
   Iterate(const Program& p, Arena& arena)
-      : x(arena.take(p.packs * p.primal.size)), y(arena.take(p.packs * p.cone.size)), s(arena.take(y.size)) {}
+      : x(arena.take(p.packs * p.primal.size)), y(arena.take(p.packs * p.cone.size)),
+        s(arena.take(y.size)) {}
 };
 
-struct Residuals {
-  Packs x, y, curved;  // ``curved``: P x
+// What is missing at an iterate, as numbers.
+struct Measures {
   double tau = 0.0, mu = 0.0, error = 0.0, infeasibility = 0.0, unboundedness = 0.0;
+};
+
+struct Residuals : Measures {
+  Packs x, y, curved;  // ``curved``: P x
   Residuals(const Program& p, Arena& arena)
-      : x(arena.take(p.packs * p.primal.size)), y(arena.take(p.packs * p.cone.size)), curved(arena.take(x.size)) {}
+      : x(arena.take(p.packs * p.primal.size)), y(arena.take(p.packs * p.cone.size)),
+        curved(arena.take(x.size)) {}
 };
 
 class InteriorPoint {
  public:
   InteriorPoint(const Program& program, const Settings& settings, Arena& arena)
-      : program_(program), settings_(settings), system_(program, arena), scaling_(program, arena),
-        iterate_(program, arena), next_(program, arena), affine_(program, arena), direction_(program, arena),
-        constant_(program, arena), residuals_(program, arena), new_residuals_(program, arena) {
-    for (Packs* v : {&lifted_, &ry_, &aimed_, &other_}) *v = arena.take(iterate_.y.size);
-    for (Packs* v : {&rx_, &against_}) *v = arena.take(iterate_.x.size);
+      : program_(program), settings_(settings), iterate_(program, arena), direction_(program, arena),
+        scaling_(program, arena), ry_(arena.take(iterate_.y.size)), rx_(arena.take(iterate_.x.size)),
+        system_(program, arena), constant_x_(arena.take(rx_.size)), constant_y_(arena.take(ry_.size)),
+        residuals_(program, arena), against_(arena.take(rx_.size)) {
   }
 
   void run(const Given& given, double cost_scale, double tolerance) {
@@ -93,7 +98,6 @@ class InteriorPoint {
     system_.factor(scaling_, settings_.regularisation);
     system_.solve<1>(scaling_, settings_.refinements, {{against_, g.b, iterate_.x, iterate_.y}});
     share(iterate_.s.size, [&](int i) { iterate_.s[i] = -iterate_.y[i]; });
-    g.clear_zero_cone(iterate_.s);
     lift_inside(iterate_.s);
     lift_inside(iterate_.y);
     // The bounds of the norms follow their cones, so that those rows start without residual.
@@ -121,25 +125,26 @@ class InteriorPoint {
           split(at(g.b, p)[i] - at(r.y, p)[i] - y[i], mu, s[i], y[i]);
         },
         [&](int p, int i, int d, int c) {
-          Entries s = at(iterate_.s, p) + i, y = at(iterate_.y, p) + i, b = at(g.b, p) + i, ax = at(r.y, p) + i;
-          put(s, 0, d, [&](int j) { return b[j] - ax[j]; });
+          const Entries of_s = at(iterate_.s, p) + i, of_y = at(iterate_.y, p) + i;
+          const soc::Held b = soc::hold(at(g.b, p) + i, d), ax = soc::hold(at(r.y, p) + i, d);
+          soc::Held s = soc::room(of_s, d), y = soc::hold(of_y, d);
+          soc::each(s, [&](int j) { return b[j] - ax[j]; });
           if (c >= g.user_cones) {  // the bound of a norm is the norm
-            Pack norm = soc::tail_norm(s, d);
-            put(s, 0, 1, [&](int) { return norm; });
+            Pack norm = soc::tail_norm(s);
+            soc::set_head(s, norm);
             g.of_primal(iterate_.x, p)[c == g.virtual_cone ? g.zeta : g.xi] = norm;
           }
-          put(s, 0, d, [&](int j) { return s[j] - y[j]; });
+          soc::each(s, [&](int j) { return s[j] - y[j]; });
           // of the gap the spectral values, each of which is split
-          const Pack gap = s[0], norm = soc::tail_norm(s, d), over = 1.0 / soc::positive(norm);
+          const Pack gap = soc::head(s), norm = soc::tail_norm(s), over = 1.0 / soc::positive(norm);
           Pack s_plus, y_plus, s_minus, y_minus;
           split(gap + norm, mu, s_plus, y_plus);
           split(gap - norm, mu, s_minus, y_minus);
-          put(y, 1, d, [&](int j) { return 0.5 * (y_plus - y_minus) * over * s[j]; });
-          put(s, 1, d, [&](int j) { return 0.5 * (s_plus - s_minus) * over * s[j]; });
-          put(s, 0, 1, [&](int) { return 0.5 * (s_plus + s_minus); });
-          put(y, 0, 1, [&](int) { return 0.5 * (y_plus + y_minus); });
+          soc::each(y, [&](int j) { return 0.5 * (y_plus - y_minus) * over * s[j]; });
+          soc::each(s, [&](int j) { return 0.5 * (s_plus - s_minus) * over * s[j]; });
+          soc::set_head(s, 0.5 * (s_plus + s_minus)), soc::set_head(y, 0.5 * (y_plus + y_minus));
+          soc::keep(s, of_s), soc::keep(y, of_y);
         });
-    g.clear_zero_cone(iterate_.s);
     begin(mu);
   }
 
@@ -151,8 +156,10 @@ class InteriorPoint {
 
   void begin(double kappa) {
     once([&] { iterate_.tau = 1.0, iterate_.kappa = kappa; });
-    measure(iterate_, residuals_);
+    program_.clear_zero_cone(iterate_.s), program_.clear_zero_cone(direction_.s);  // where no step changes it
+    const Measures found = measure(iterate_);
     once([&] {
+      static_cast<Measures&>(residuals_) = found;
       started_ = true;
       broken = !is_finite(residuals_.error);
     });
@@ -162,8 +169,9 @@ class InteriorPoint {
   JAXSCP_CALLED void lift_inside(Packs v) const {
     program_.each([&](int p, int i) { at(v, p)[i] = larger(at(v, p)[i], all(1.0)); },
                   [&](int p, int i, int d, int) {
-                    Entries part = at(v, p) + i;
-                    part[0] = larger(part[0], soc::tail_norm(part, d) + 1.0);
+                    soc::Held part = soc::hold(at(v, p) + i, d);
+                    soc::set_head(part, larger(soc::head(part), soc::tail_norm(part) + 1.0));
+                    soc::keep(part, at(v, p) + i);
                   });
   }
 
@@ -181,52 +189,56 @@ class InteriorPoint {
       else i -= rx_.size, ry_[i] = old.s[i] - r.y[i];
     });
     system_.solve<2>(scaling_, rounds,
-                     {{against_, g.b, constant_.x, constant_.y}, {rx_, ry_, affine_.x, affine_.y}});
+                     {{against_, g.b, constant_x_, constant_y_}, {rx_, ry_, direction_.x, direction_.y}});
     const double slope = find_slope();
-    const double left = 1.0 - assemble(1.0, slope, old.tau * old.kappa, old.s, affine_), sigma = left * left * left;
+    const double left = 1.0 - assemble(1.0, slope, old.tau * old.kappa, old.s), sigma = left * left * left;
+    const double target_tau = old.tau * old.kappa + direction_.tau * direction_.kappa - sigma * r.mu;
 
     // Mehrotra's combined direction: centring by sigma and second-order correction
     correct(1.0 - sigma, sigma * r.mu);
     system_.solve<1>(scaling_, rounds, {{rx_, ry_, direction_.x, direction_.y}});
-    const double target_tau = old.tau * old.kappa + affine_.tau * affine_.kappa - sigma * r.mu;
-    take(0.99 * assemble(1.0 - sigma, slope, target_tau, lifted_, direction_));
+    take(0.99 * assemble(1.0 - sigma, slope, target_tau, direction_.s));
   }
 
   // The combined right side, residuals reduced by ``part``:  lifted = s + W (lambda \ (W^-1 ds o W dy - centre e)),
-  // where lambda = W y and ds, dy are the affine direction's.
+  // where lambda = W y and ds, dy are the affine direction's. It takes the place of ds.
   JAXSCP_CALLED void correct(double part, double centre) {
     const Program& g = program_;
     const Residuals& r = residuals_;
-    share(g.packs, g.parts(), [&](int p, int k) {
-      Entries s = at(iterate_.s, p), y = at(iterate_.y, p), ds = at(affine_.s, p), dy = at(affine_.y, p);
-      Entries w = at(scaling_.w, p), lifted = at(lifted_, p), lacks = at(r.y, p), ry = at(ry_, p);
-      g.part(k,
-             [&](int i) {
-               lifted[i] = s[i] + (ds[i] * dy[i] - centre) / y[i];
-               ry[i] = lifted[i] - part * lacks[i];
-             },
-             [&](int i, int d, int c) {
-               Entries aimed = at(aimed_, p) + i, other = at(other_, p) + i;
-               const Pack eta = scaling_.eta_of(p, c);
-               soc::scale(w + i, eta, -1.0, ds + i, d, aimed);
-               soc::scale(w + i, eta, 1.0, dy + i, d, other);
-               soc::product(aimed, other, d, all(centre), aimed);
-               soc::scale(w + i, eta, 1.0, y + i, d, other);
-               soc::divide(other, aimed, d, aimed);
-               soc::scale(w + i, eta, 1.0, aimed, d, aimed);
-               put(lifted, i, i + d, [&](int j) { return s[j] + aimed[j - i]; });
-               put(ry, i, i + d, [&](int j) { return lifted[j] - part * lacks[j]; });
-             },
-             [&](int i) { ry[i] = -part * lacks[i]; },
-             [&](int i) { g.of_primal(rx_, p)[i] = -part * g.of_primal(r.x, p)[i]; });
-    });
+    g.each(
+        [&](int p, int i) {
+          Entries lifted = at(direction_.s, p);
+          lifted[i] = at(iterate_.s, p)[i] + (lifted[i] * at(direction_.y, p)[i] - centre) / at(iterate_.y, p)[i];
+          at(ry_, p)[i] = lifted[i] - part * at(r.y, p)[i];
+        },
+        [&](int p, int i, int d, int c) {
+          auto hold = [&](Packs v) { return soc::hold(at(v, p) + i, d); };
+          const soc::Held w = hold(scaling_.w), dy = hold(direction_.y), y = hold(iterate_.y), s = hold(iterate_.s);
+          const soc::Held lacks = hold(r.y);
+          soc::Held lifted = hold(direction_.s), other = soc::room(at(ry_, p) + i, d);
+          const Pack eta = scaling_.eta_of(p, c);
+          soc::scale(w, eta, -1.0, lifted, lifted);
+          soc::scale(w, eta, 1.0, dy, other);
+          soc::product(lifted, other, all(centre), lifted);
+          soc::scale(w, eta, 1.0, y, other);
+          soc::divide(other, lifted, lifted);
+          soc::scale(w, eta, 1.0, lifted, lifted);
+          soc::each(lifted, [&](int j) { return s[j] + lifted[j]; });
+          soc::each(other, [&](int j) { return lifted[j] - part * lacks[j]; });
+          soc::keep(lifted, at(direction_.s, p) + i), soc::keep(other, at(ry_, p) + i);
+        });
+    fill(g.packs, g.m, [&](int p, int i) -> Pack& { return at(ry_, p)[g.zero + i]; },
+         [&](int p, int i) { return -part * at(r.y, p)[g.zero + i]; });
+    fill(g.packs, g.primal.size, [&](int p, int i) -> Pack& { return g.of_primal(rx_, p)[i]; },
+         [&](int p, int i) { return -part * g.of_primal(r.x, p)[i]; });
   }
 
-  // Adds to a solution the multiple of the constant direction that the embedding's last equation asks for, and finds
-  // what is missing of the direction. Returns the longest step along it, at most one, that stays in the cones.
-  JAXSCP_CALLED double assemble(double part, double slope, double target_tau, Packs lifted, Iterate& out) {
+  // Adds to a solution's cones the multiple tau of the constant direction that the embedding's last equation asks for,
+  // and finds what is missing of the direction there; ``take`` does so with the rest. Returns the longest step along it, at most one, that stays in the cones.
+  JAXSCP_CALLED double assemble(double part, double slope, double target_tau, Packs lifted) {
     const Program& g = program_;
     const Iterate& old = iterate_;
+    Iterate& out = direction_;
     const Residuals& r = residuals_;
     using Total = Totals<1, 0>;
     const Parts entries{g.primal.size + g.cone.size};
@@ -243,26 +255,28 @@ class InteriorPoint {
     const double kappa = -(target_tau + old.kappa * tau) / old.tau;
     once([&] { out.tau = tau, out.kappa = kappa; });
 
-    const double step = fold(g.packs, g.parts(), Least{all(1.0)}, [&](int p, int k, Least& found) {
-      Entries s = at(old.s, p), y = at(old.y, p), ds = at(out.s, p), dy = at(out.y, p);
-      Entries w = at(scaling_.w, p), constant = at(constant_.y, p), lift = at(lifted, p);
+    const double step = fold(g.packs, Parts{g.r, g.cone_count}, Least{all(1.0)}, [&](int p, int k, Least& found) {
       auto see = [&](int of, Pack step) { found.see(where(within(p, of), step, all(1.0))); };
-      g.part(k,
-             [&](int i) {
-               dy[i] += tau * constant[i];
-               ds[i] = -(lift[i] + w[i] * w[i] * dy[i]);
-               auto bound = [](Pack v, Pack d) { return where(d < 0.0, -v / d, all(1.0)); };
-               see(g.nodes, smaller(bound(s[i], ds[i]), bound(y[i], dy[i])));
-             },
-             [&](int i, int d, int c) {
-               put(dy, i, i + d, [&](int j) { return dy[j] + tau * constant[j]; });
-               soc::square(w + i, scaling_.eta_of(p, c), dy + i, d, ds + i);
-               put(ds, i, i + d, [&](int j) { return -(lift[j] + ds[j]); });
-               Pack far = smaller(soc::step_to_boundary(s + i, ds + i, d), soc::step_to_boundary(y + i, dy + i, d));
-               see(g.cone_at(c).of_link ? g.nodes + 1 : g.nodes, far);
-             },
-             [&](int i) { dy[i] += tau * constant[i], ds[i] = all(0.0); },
-             [&](int i) { g.of_primal(out.x, p)[i] += tau * g.of_primal(constant_.x, p)[i]; });
+      if (const int i = k; i < g.r) {
+        const Pack w = at(scaling_.w, p)[i], s = at(old.s, p)[i], y = at(old.y, p)[i];
+        const Pack dy = at(out.y, p)[i] + tau * at(constant_y_, p)[i], ds = -(at(lifted, p)[i] + w * w * dy);
+        at(out.y, p)[i] = dy, at(out.s, p)[i] = ds;
+        auto bound = [](Pack v, Pack d) { return where(d < 0.0, -v / d, all(1.0)); };
+        see(g.nodes, smaller(bound(s, ds), bound(y, dy)));
+      } else {
+        auto [first, d, of_link] = g.cone_at(k - g.r);
+        auto hold = [&](Packs v) { return soc::hold(at(v, p) + first, d); };
+        const soc::Held w = hold(scaling_.w), constant = hold(constant_y_), lift = hold(lifted);
+        const soc::Held s = hold(old.s), y = hold(old.y);
+        soc::Held dy = hold(out.y), ds = soc::room(at(out.s, p) + first, d);
+        soc::Held square = soc::room(at(ry_, p) + first, d);  // whose right side has been used
+        soc::each(dy, [&](int j) { return dy[j] + tau * constant[j]; });
+        soc::square(w, scaling_.eta_of(p, k - g.r), dy, square);
+        soc::each(ds, [&](int j) { return -(lift[j] + square[j]); });
+        soc::keep(dy, at(out.y, p) + first), soc::keep(ds, at(out.s, p) + first);
+        Pack far = smaller(soc::step_to_boundary(s, ds), soc::step_to_boundary(y, dy));
+        see(of_link ? g.nodes + 1 : g.nodes, far);
+      }
     }).value();
     auto bound = [](double v, double d) { return d < 0.0 ? -v / d : 1.0; };
     return least(step, least(bound(old.tau, tau), bound(old.kappa, kappa)));
@@ -275,16 +289,16 @@ class InteriorPoint {
     using Total = Totals<1, 0>;
     const Parts parts{g.n + g.r, g.cone_count};
     const double curvature = fold(g.packs, parts, Total::none(), [&](int p, int k, Total& found) {
-      Entries w = at(scaling_.w, p), y = at(constant_.y, p);
+      Entries w = at(scaling_.w, p), y = at(constant_y_, p);
       if (k < g.n) {
-        Entries x = g.of_primal(iterate_.x, p), along = g.of_primal(constant_.x, p);
+        Entries x = g.of_primal(iterate_.x, p), along = g.of_primal(constant_x_, p);
         auto apart = [&](int i) { return along[i] - over * x[i]; };
         found.add(0, g.of_nodes(p, apart(k) * g.hessian.add_transposed(p, k, all(0.0), apart)));
       } else if (const int i = k - g.n; i < g.r) {
         found.add(0, g.of_nodes(p, w[i] * w[i] * y[i] * y[i]));
       } else {
         auto [offset, d, of_link] = g.cone_at(i - g.r);
-        Pack norm = soc::scaled_square(w + offset, scaling_.eta_of(p, i - g.r), y + offset, d);
+        Pack norm = soc::scaled_square(soc::hold(w + offset, d), scaling_.eta_of(p, i - g.r), soc::hold(y + offset, d));
         found.add(0, once_of_cone(of_link ? g.of_links(p, norm) : g.of_nodes(p, norm)));
       }
     }).sum(0);
@@ -292,34 +306,42 @@ class InteriorPoint {
   }
 
   JAXSCP_CALLED void take(double length) {
-    const Iterate &old = iterate_, &d = direction_;
-    double tau = old.tau + length * d.tau, kappa = old.kappa + length * d.kappa, unit = 1.0 / most(tau, kappa);
-    once([&] { next_.tau = unit * tau, next_.kappa = unit * kappa; });
-    const int primal = next_.x.size, cone = next_.y.size;
-    share(primal + 2 * cone, [&](int i) {
-      auto move = [&](Packs from, Packs along, Packs to) { to[i] = unit * (from[i] + length * along[i]); };
-      if (i < primal) return move(old.x, d.x, next_.x);
-      i -= primal;
-      if (i < cone) return move(old.y, d.y, next_.y);
-      i -= cone;
-      move(old.s, d.s, next_.s);
+    // the next iterate takes the place of the direction
+    const Program& g = program_;
+    Iterate &old = iterate_, &next = direction_;
+    const double along = next.tau;  // the constant direction
+    double tau = old.tau + length * next.tau, kappa = old.kappa + length * next.kappa, unit = 1.0 / most(tau, kappa);
+    once([&] { next.tau = unit * tau, next.kappa = unit * kappa; });
+    fill(g.packs, g.primal.size, [&](int p, int i) -> Pack& { return g.of_primal(next.x, p)[i]; }, [&](int p, int i) {
+      Pack d = g.of_primal(next.x, p)[i] + along * g.of_primal(constant_x_, p)[i];
+      return unit * (g.of_primal(old.x, p)[i] + length * d);
     });
-    measure(next_, new_residuals_);
+    fill(g.packs, g.m, [&](int p, int i) -> Pack& { return at(next.y, p)[g.zero + i]; },
+         [&](int p, int i) { return at(next.y, p)[g.zero + i] + along * at(constant_y_, p)[g.zero + i]; });
+    auto move = [&](Packs from, Packs to) {
+      fill(g.packs, g.cone.size, [&](int p, int i) -> Pack& { return at(to, p)[i]; },
+           [&](int p, int i) { return unit * (at(from, p)[i] + length * at(to, p)[i]); });
+    };
+    move(old.y, next.y);
+    move(old.s, next.s);
+    const Measures found = measure(next);
     once([&] {
-      double error = new_residuals_.error, before = residuals_.error;
-      broken = !(is_finite(error) && is_finite(new_residuals_.mu));
+      double error = found.error, before = residuals_.error;
+      broken = !(is_finite(error) && is_finite(found.mu));
       // A step that makes a nearly solved iterate worse has run into rounding: keep the better one.
       stalled = length < 1e-6 || (before < settings_.loose_tolerance && error > 2.0 * before);
       if (!(broken || (stalled && error > before))) {
-        swap(iterate_, next_);
-        swap(residuals_, new_residuals_);
+        swap(iterate_, direction_);
+        static_cast<Measures&>(residuals_) = found;
       }
       ++iterations;
     });
   }
 
-  JAXSCP_CALLED void measure(const Iterate& v, Residuals& r) {
+  // What is missing at an iterate: vectors are left in ``residuals_``.
+  JAXSCP_CALLED Measures measure(const Iterate& v) {
     const Program& g = program_;
+    const Residuals& r = residuals_;
     g.times(v.x, v.y, r.curved, r.y, r.x);
     enum { kQuadratic, kLinear, kOffset, kComplementarity, kSums };
     enum { kDual, kDualLack, kCurved, kPrimal, kPrimalLack, kLargest };
@@ -351,15 +373,15 @@ class InteriorPoint {
     const double gap = fabs(primal_cost - dual_cost) / most(cost_scale_, least(fabs(primal_cost), fabs(dual_cost)));
     const double primal_error = found.largest(kPrimalLack) / (v.tau * size_b_);
     const double dual_error = found.largest(kDualLack) / (v.tau * size_q_);
-    once([&] {
-      r.tau = linear + offset + v.kappa + quadratic / v.tau;
-      r.mu = mu;
-      r.error = most(gap, most(primal_error, dual_error));
-      // a maximum leaves NaN out: sums do not
-      if (!is_finite(gap) || !is_finite(mu)) r.error = sqrt(-1.0);  // not a number
-      r.infeasibility = found.largest(kDual) / most(-offset, soc::kTiny);
-      r.unboundedness = most(found.largest(kCurved), found.largest(kPrimal)) / most(-linear, soc::kTiny);
-    });
+    Measures m;
+    m.tau = linear + offset + v.kappa + quadratic / v.tau;
+    m.mu = mu;
+    m.error = most(gap, most(primal_error, dual_error));
+    // a maximum leaves NaN out: sums do not
+    if (!is_finite(gap) || !is_finite(mu)) m.error = sqrt(-1.0);  // not a number
+    m.infeasibility = found.largest(kDual) / most(-offset, soc::kTiny);
+    m.unboundedness = most(found.largest(kCurved), found.largest(kPrimal)) / most(-linear, soc::kTiny);
+    return m;
   }
 
   template <typename T>
@@ -375,12 +397,14 @@ class InteriorPoint {
 
   const Program& program_;
   Settings settings_;
-  NewtonSystem system_;
+  // first what is read most, which is to be near
+  Iterate iterate_, direction_;
   Scaling scaling_;
-  Iterate iterate_, next_, affine_, direction_, constant_;
-  Residuals residuals_, new_residuals_;
-  Packs rx_, ry_, lifted_, against_;  // ``against_``: -q
-  Packs aimed_, other_;               // of a cone while it is at work
+  Packs ry_, rx_;
+  NewtonSystem system_;
+  Packs constant_x_, constant_y_;
+  Residuals residuals_;
+  Packs against_;  // -q
   // as in ``near.py``
   static constexpr double kShareOfLack = 0.2, kLeastMu = 0.02, kMostMu = 3.0, kNearRegularisation = 0.1;
   double cost_scale_ = 1.0, tolerance_ = 0.0, size_q_ = 1.0, size_b_ = 1.0;

@@ -90,7 +90,18 @@ struct ProgramLayout {
   static constexpr double degree = kLayout.degree;
 
   explicit ProgramLayout(const Layout&) {}
-  static Cone cone_at(int c) { return kLayout.cones[c]; }
+  static Cone cone_at(int c) {
+    constexpr int kFew = 8;  // of so many one is chosen sooner than read
+    if constexpr (cone_count > kFew) {
+      return kLayout.cones[c];
+    } else {
+      Cone found = kLayout.cones[0];
+#pragma unroll
+      for (int k = 1; k < cone_count; ++k)
+        if (c == k) found = kLayout.cones[k];
+      return found;
+    }
+  }
 };
 #else
 using ProgramLayout = Layout;

@@ -26,7 +26,10 @@ class Scaling {
   JAXSCP_CALLED void set(Packs s, Packs y) {
     program_.each([&](int p, int i) { at(w, p)[i] = root(at(s, p)[i] / at(y, p)[i]); },
                   [&](int p, int i, int d, int c) {
-                    soc::scaling(at(s, p) + i, at(y, p) + i, d, at(w, p) + i, eta.of(p, program_.cone_count)[c]);
+                    soc::Held point = soc::room(at(w, p) + i, d);
+                    soc::scaling(soc::hold(at(s, p) + i, d), soc::hold(at(y, p) + i, d), point,
+                                 eta.of(p, program_.cone_count)[c]);
+                    soc::keep(point, at(w, p) + i);
                   });
   }
 
@@ -45,7 +48,7 @@ class NewtonSystem {
         chain_(program, arena),
         nodes_(program, arena) {
     for (int s = 0; s < kSides; ++s) {
-      wide_[s] = arena.take(program.packs * program.cone.size);
+      wide_[s] = arena.take(program.packs * program.zero);
       rx_[s] = arena.take(program.packs * program.primal.size), dx_[s] = arena.take(rx_[s].size);
       ry_[s] = arena.take(program.packs * program.cone.size), dy_[s] = arena.take(ry_[s].size);
       trust_shift_[s] = arena.take(program.packs * program.n);
@@ -108,8 +111,11 @@ class NewtonSystem {
     Entries out = g.of_cones(to.ry, p), square = g.of_cones(to.y, p);
     g.part(k, [&](int i) { out[i] = ry[i] - (out[i] - w[i] * w[i] * y[i]); },
            [&](int i, int d, int c) {
-             soc::square(w + i, scaling.eta_of(p, c), y + i, d, square + i);
-             put(out, i, i + d, [&](int j) { return ry[j] - (out[j] - square[j]); });
+             soc::Held squared = soc::room(square + i, d), left = soc::hold(out + i, d);
+             const soc::Held right = soc::hold(ry + i, d);
+             soc::square(soc::hold(w + i, d), scaling.eta_of(p, c), soc::hold(y + i, d), squared);
+             soc::each(left, [&](int j) { return right[j] - (left[j] - squared[j]); });
+             soc::keep(left, out + i);
            },
            [&](int i) { out[i] = ry[i] - out[i]; },
            [&](int i) {
@@ -125,7 +131,7 @@ class NewtonSystem {
     const int n = g.n;
     Entries w = g.of_cones(s.w, p);
     g.hessian.each(p, [&](int i, int j, Pack v) { to(i, j) = v; });
-    Entries weight = g.of_cones(wide_[0], p);
+    Entries weight = wide(p, 0);
     in_team(g.r, [&](int i) { weight[i] = 1.0 / (w[i] * w[i]); });
     in_team(g.user_cones, [&](int c) {
       auto [offset, d, _] = g.cone_at(c);
@@ -150,7 +156,7 @@ class NewtonSystem {
     }
     if (g.has_norm) {
       Entries w1 = w + g.trust + 1, scale = g.scale.of(p, n);
-      Pack e = s.eta_of(p, g.trust_cone), by = 1.0 / (e * e), size = soc::dot(w1, w1, n);
+      Pack e = s.eta_of(p, g.trust_cone), by = 1.0 / (e * e), size = soc::dot(soc::hold(w1, n), soc::hold(w1, n));
       in_team(n, [&](int i) {
         along[i] = scale[i] * w1[i];
         to(i, i) += by * scale[i] * scale[i];
@@ -200,7 +206,7 @@ class NewtonSystem {
     });
     share(g.packs, Parts{n * S}, [&](int p, int k) {
       const int j = k / S, s = k % S;
-      Entries v = g.of_cones(wide_[s], p);
+      Entries v = wide(p, s);
       Pack total = g.rows.add_transposed(p, j, g.of_primal(sides[s].rx, p)[j], [&](int i) { return v[i]; });
       total = g.user.add_transposed(p, j, total, [&](int i) { return v[g.r + i]; });
       if (g.has_norm) total -= g.scale.of(p, n)[j] * v[g.trust + 1 + j];
@@ -213,17 +219,22 @@ class NewtonSystem {
     const Program& g = program_;
     const int n = g.n;
     Entries qx = g.of_primal(side.rx, p), qy = g.of_cones(side.ry, p), w = g.of_cones(scaling.w, p);
-    Entries out = g.of_cones(wide_[s], p);
+    Entries out = wide(p, s);
     if (k < g.r) {
       out[k] = qy[k] / (w[k] * w[k]);
     } else if (k < g.r + g.user_cones) {
       auto [offset, d, _] = g.cone_at(k - g.r);
-      soc::inverse_square(w + offset, scaling.eta_of(p, k - g.r), qy + offset, d, out + offset);
+      soc::Held found = soc::room(out + offset, d);
+      soc::inverse_square(soc::hold(w + offset, d), scaling.eta_of(p, k - g.r), soc::hold(qy + offset, d), found);
+      soc::keep(found, out + offset);
     } else {
-      Entries wt = w + g.trust, shift = trust_shift_[s].of(p, n);
-      Pack e = scaling.eta_of(p, g.trust_cone), head = 2.0 * e * e * wt[0] * qx[g.xi];
-      put(shift, 0, n, [&](int i) { return qy[g.trust + 1 + i] - head * wt[1 + i]; });
-      soc::tail_inverse(wt, e, shift, n, out + (g.trust + 1));
+      const Entries of_shift = trust_shift_[s].of(p, n), to = out + (g.trust + 1);
+      const Pack e = scaling.eta_of(p, g.trust_cone), by = 2.0 * e * e * w[g.trust] * qx[g.xi];
+      const soc::Held tail = soc::hold(w + (g.trust + 1), n), right = soc::hold(qy + (g.trust + 1), n);
+      soc::Held shift = soc::room(of_shift, n), found = soc::room(to, n);
+      soc::each(shift, [&](int i) { return right[i] - by * tail[i]; });
+      soc::tail_inverse(tail, e, shift, found);
+      soc::keep(shift, of_shift), soc::keep(found, to);
     }
   }
 
@@ -271,33 +282,39 @@ class NewtonSystem {
     Pack e = scaling.eta_of(p, c);
     if (c < g.user_cones) {
       auto [offset, d, _] = g.cone_at(c);
-      Entries v = g.of_cones(wide_[s], p) + offset;
-      put(v, 0, d, [&](int i) { return g.user.times(p, offset - g.r + i, ox) - qy[offset + i]; });
-      soc::inverse_square(w + offset, e, v, d, oy + offset);
+      const soc::Held right = soc::hold(qy + offset, d);
+      soc::Held v = soc::room(wide(p, s) + offset, d), found = soc::room(oy + offset, d);
+      soc::each_entry(v, [&](int i, int entry) { return g.user.times(p, offset - g.r + entry, ox) - right[i]; });
+      soc::inverse_square(soc::hold(w + offset, d), e, v, found);
+      soc::keep(found, oy + offset);
     } else if (c == g.virtual_cone) {
       // The bounds follow from the heads of their cones:  -xi - (W^2 y)_0 = ry_0.
       oy[g.virtual_] = -qx[g.zeta];
-      ox[g.zeta] = -qy[g.virtual_] - square_head(w + g.virtual_, e, oy + g.virtual_, 1 + m);
+      const soc::Held point = soc::hold(w + g.virtual_, 1 + m), found = soc::hold(oy + g.virtual_, 1 + m);
+      ox[g.zeta] = -qy[g.virtual_] - soc::square_head(point, e, found);
       if (!g.has_norm) ox[g.xi] = all(0.0);
     } else {
-      Entries wt = w + g.trust, scale = g.scale.of(p, n), shift = trust_shift_[s].of(p, n);
-      Entries v = g.of_cones(wide_[s], p) + g.trust;
-      put(v, 0, n, [&](int i) { return -(scale[i] * ox[i] + shift[i]); });
-      soc::tail_inverse(wt, e, v, n, oy + (g.trust + 1));
-      oy[g.trust] = -qx[g.xi];
-      ox[g.xi] = -qy[g.trust] - square_head(wt, e, oy + g.trust, 1 + n);
+      const Entries to = oy + g.trust;
+      const soc::Held tail = soc::hold(w + (g.trust + 1), n), scale = soc::hold(g.scale.of(p, n), n);
+      const soc::Held x = soc::hold(ox, n), shift = soc::hold(trust_shift_[s].of(p, n), n);
+      soc::Held v = soc::room(wide(p, s) + g.trust, n), found = soc::room(to + 1, n);
+      soc::each(v, [&](int i) { return -(scale[i] * x[i] + shift[i]); });
+      soc::tail_inverse(tail, e, v, found);
+      soc::keep(found, to + 1);
+      // (W^2 y)_0 of y = (-xi's price, what was found)
+      const Pack first = -qx[g.xi], w0 = w[g.trust];
+      to[0] = first;
+      ox[g.xi] = -qy[g.trust] - e * e * (w0 * 2.0 * (w0 * first + soc::dot(tail, found)) - first);
     }
-  }
-
-  static Pack square_head(Entries w, Pack eta, Entries v, int d) {
-    return eta * eta * (w[0] * 2.0 * soc::dot(w, v, d) - v[0]);
   }
 
   const Program& program_;
   Chain chain_;
   Nodes nodes_;
   static constexpr double kRootOfTwo = 1.4142135623730951;
-  Packs wide_[kSides];  // as ConeVectors: what a phase passes to the next
+  Entries wide(int p, int side) const { return wide_[side].of(p, program_.zero); }
+
+  Packs wide_[kSides];  // of nodes, as ConeVectors without links: what a phase passes to the next
   Packs trust_shift_[kSides], rx_[kSides], ry_[kSides], dx_[kSides], dy_[kSides];
 };
 

@@ -13,8 +13,7 @@ class Nodes {
  public:
   Nodes(const Program& program, Arena& arena)
       : program_(program), factors_(arena.take(nodes * kTriangle)), ties_(arena.take(nodes * 2 * m * n)),
-        right_(arena.take(program.packs * n * kSides)), left_(arena.take(right_.size)),
-        found_(arena.take(right_.size)) {}
+        right_(arena.take(program.packs * n * kSides)), found_(arena.take(right_.size)) {}
 
   // Begins with another program: what ties nodes to links, node by node, and where among it an entry is.
   JAXSCP_CALLED void read() {
@@ -97,9 +96,9 @@ class Nodes {
       };
       take(g.after, p);
       take(g.before, p + 1);
-      for (int s = 0; s < S; ++s) left_.of(p, n * kSides)[j * S + s] = left[s];
+      for (int s = 0; s < S; ++s) right(p)[j * S + s] = left[s];
     });
-    times_inverses<S>(left_);
+    times_inverses<S>(right_);
   }
 
   // Row j of side s.
@@ -154,7 +153,7 @@ class Nodes {
   }
 
   const Program& program_;
-  Packs factors_, ties_, right_, left_, found_;
+  Packs factors_, ties_, right_, found_;
 };
 
 }  // namespace jaxscp

@@ -7,7 +7,6 @@
 
 namespace jaxscp {
 
-constexpr int kWarps = kThreads / kWarp;
 constexpr int larger_of(int a, int b) { return a > b ? a : b; }
 constexpr int kPassed = 4 * larger_of(kLayout.n, kLayout.m);
 inline double* passed() {

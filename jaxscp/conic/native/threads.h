@@ -27,14 +27,41 @@ struct Parts {
 constexpr int kWarp = 32;
 constexpr int kThreads = JAXSCP_THREADS;  // of a block
 
+constexpr int kWarps = kThreads / kWarp;
+constexpr unsigned kEvery = 0xffffffff;  // lane of the warp
+
 inline int lane_of_warp() { return threadIdx.x % kWarp; }
 inline int warp_of_block() { return threadIdx.x / kWarp; }
+// The same, for all lanes together: the compiler then knows it to be the same for all, and what depends on it alone is
+// found once for the warp.
+inline int common_warp() { return __shfl_sync(kEvery, warp_of_block(), 0); }
 
 // act(i) for i < count
 template <typename Act>
 inline void share(int count, Act act) {
 #pragma unroll 1
-  for (int i = threadIdx.x; i < count; i += kThreads) act(i);
+  for (int first = common_warp() * kWarp; first < count; first += kThreads)
+    if (int i = first + lane_of_warp(); i < count) act(i);
+  __syncthreads();
+}
+
+// place(p, i) = value(p, i) for p < packs and i < count: a thread reads several before it puts any, as none of these has
+// to wait for the one before.
+template <typename Place, typename Value>
+inline void fill(int packs, int count, Place place, Value value) {
+  constexpr int kAtOnce = 4;
+  const int rounds = packs / kWarp, all = rounds * count;
+#pragma unroll 1
+  for (int first = common_warp(); first < all; first += kAtOnce * kWarps) {
+    Pack found[kAtOnce];
+    auto at = [&](int i) { return i % rounds * kWarp + lane_of_warp(); };
+#pragma unroll
+    for (int k = 0; k < kAtOnce; ++k)
+      if (int i = first + k * kWarps; i < all) found[k] = value(at(i), i / rounds);
+#pragma unroll
+    for (int k = 0; k < kAtOnce; ++k)
+      if (int i = first + k * kWarps; i < all) place(at(i), i / rounds) = found[k];
+  }
   __syncthreads();
 }
 
@@ -42,22 +69,22 @@ inline void share(int count, Act act) {
 constexpr int kLanesOfCone = 8;
 inline int lane_of_cone() { return lane_of_warp() % kLanesOfCone; }
 
-// act(p, k) for p < packs and all parts k. Neighbouring threads have neighbouring places and the same k; or they have
-// the same cone.
+// act(p, k) for p < packs and all parts k. The lanes of a warp have neighbouring places and the same k; or so many of
+// them have a cone together, of places as many as lanes or several times so.
 template <typename Act>
 inline void visit(int packs, Parts parts, Act act) {
-  const int cones = packs * parts.single, rest = cones + packs * parts.cones * kLanesOfCone;
+  const int rounds = (packs + kWarp - 1) / kWarp, rest = parts.single + parts.cones * kLanesOfCone;
 #pragma unroll 1
-  for (int i = threadIdx.x; i < rest + packs * parts.rest; i += kThreads) {
-    int k = i / packs, p = i % packs;
-    if (i >= rest) {
+  for (int i = common_warp(); i < rounds * (rest + parts.rest); i += kWarps) {
+    int k = i / rounds, p = i % rounds * kWarp + lane_of_warp();
+    if (k >= rest) {
       k -= parts.cones * (kLanesOfCone - 1);
-    } else if (i >= cones) {
+    } else if (k >= parts.single) {
       const int cone = (k - parts.single) / kLanesOfCone, stretch = (k - parts.single) % kLanesOfCone;
       k = parts.single + cone;
       p = (stretch * packs + p) / kLanesOfCone;
     }
-    act(p, k);
+    if (packs % kWarp == 0 || p < packs) act(p, k);
   }
 }
 template <typename Act>
@@ -66,23 +93,6 @@ inline void share(int packs, Parts parts, Act act) {
   __syncthreads();
 }
 
-// Within a cone: the sum of value(i) from ``first`` on, for all its lanes.
-template <typename Value>
-inline Pack sum(int first, int end, Value value) {
-  Pack total = 0.0;
-#pragma unroll 1
-  for (int i = first + lane_of_cone(); i < end; i += kLanesOfCone) total += value(i);
-#pragma unroll
-  for (int apart = 1; apart < kLanesOfCone; apart *= 2) total += __shfl_xor_sync(0xffffffff, total, apart);
-  return total;
-}
-// out[i] = value(i) from ``first`` on.
-template <typename Out, typename Value>
-inline void put(Out out, int first, int end, Value value) {
-#pragma unroll 1
-  for (int i = first + lane_of_cone(); i < end; i += kLanesOfCone) out[i] = value(i);
-  __syncwarp();
-}
 // What is of a cone and not of each lane.
 inline Pack once_of_cone(Pack v) { return lane_of_cone() == 0 ? v : 0.0; }
 
@@ -90,7 +100,7 @@ inline Pack once_of_cone(Pack v) { return lane_of_cone() == 0 ? v : 0.0; }
 template <typename Act>
 inline void share_among_teams(int count, Act act) {
 #pragma unroll 1
-  for (int p = warp_of_block(); p < count; p += kThreads / kWarp) act(p);
+  for (int p = common_warp(); p < count; p += kWarps) act(p);
   __syncthreads();
 }
 
@@ -117,20 +127,20 @@ inline void dismiss() {}
 // What act(p, k, found) joins to ``found``, which begins as ``first``, for all p < packs and parts k.
 template <typename Found, typename Act>
 inline Found fold(int packs, Parts parts, Found first, Act act) {
-  __shared__ Found of_warps[kThreads / kWarp];
+  __shared__ Found of_warps[kWarps];
   Found total = first;
   visit(packs, parts, [&](int p, int k) { act(p, k, total); });
 #pragma unroll 1
   for (int apart = kWarp / 2; apart > 0; apart /= 2) {
     Found other;
-    for (int i = 0; i < Found::kMany; ++i) other[i] = __shfl_xor_sync(0xffffffff, total[i], apart);
+    for (int i = 0; i < Found::kMany; ++i) other[i] = __shfl_xor_sync(kEvery, total[i], apart);
     total.join(other);
   }
   if (lane_of_warp() == 0) of_warps[warp_of_block()] = total;
   __syncthreads();
   total = first;
 #pragma unroll 1
-  for (int w = 0; w < kThreads / kWarp; ++w) total.join(of_warps[w]);
+  for (int w = 0; w < kWarps; ++w) total.join(of_warps[w]);
   __syncthreads();
   return total;
 }
@@ -166,6 +176,11 @@ inline void share(int packs, Parts parts, Act act) {
   wait();
 }
 
+template <typename Place, typename Value>
+inline void fill(int packs, int count, Place place, Value value) {
+  share(packs, Parts{count}, [&](int p, int i) { place(p, i) = value(p, i); });
+}
+
 // A team of its own is what a thread is here.
 template <typename Act>
 inline void share_among_teams(int count, Act act) {
@@ -177,21 +192,6 @@ inline void in_team(int count, Act act) {
   for (int i = 0; i < count; ++i) act(i);
 }
 
-// The sum of value(i) from ``first`` on.
-template <typename Value>
-inline Pack sum(int first, int end, Value value) {
-  Pack total[4] = {all(0.0), all(0.0), all(0.0), all(0.0)};  // four in turn: none waits for the one before
-  int i = first;
-  for (; i + 4 <= end; i += 4)
-    for (int k = 0; k < 4; ++k) total[k] += value(i + k);
-  for (; i < end; ++i) total[0] += value(i);
-  return (total[0] + total[1]) + (total[2] + total[3]);
-}
-// out[i] = value(i) from ``first`` on.
-template <typename Out, typename Value>
-inline void put(Out out, int first, int end, Value value) {
-  for (int i = first; i < end; ++i) out[i] = value(i);
-}
 inline Pack once_of_cone(Pack v) { return v; }
 
 template <typename Act>
