@@ -12,8 +12,6 @@
 
 namespace jaxscp {
 
-constexpr unsigned kEvery = 0xffffffff;  // lane of the warp
-
 // 1 / sqrt(v), not a number for what is not positive. Without a way apart for the least and the largest numbers, which
 // would keep two roots from being found at once.
 inline double inverse_root(double v) {
