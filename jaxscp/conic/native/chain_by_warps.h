@@ -16,52 +16,71 @@ constexpr int kSides = 2;
 class Chain {
  public:
   Chain(const Program& program, Arena& arena)
-      : program_(program), blocks_(arena.take(kLinks * 3 * kBlockSize)), inverse_(arena.take(kLinks * kBlockSize)),
+      : program_(program), blocks_(arena.take(kLinks * kOfLink)), inverse_(arena.take(kLinks * kBlockSize)),
         step_(arena.take(kLinks * kBlockSize)), vector_(arena.take(kLinks * m * kSides)),
         into_middle_(arena.take(2 * m * kSides)), solution_(arena.take(program.packs * m * kSides)) {}
 
-  // The matrix, by columns and its diagonal's lower triangle: of link l what it has itself and from the node behind it,
-  // what it has from the node before it, and entry (i, j) of S_{l,l+1}.
-  double* own(int l) const { return &blocks_[l * 3 * kBlockSize]; }
-  double* from_before(int l) const { return own(l) + kBlockSize; }
-  double& above(int l, int i, int j) const {
-    return l < kMiddle ? neighbour(l)[i * m + j] : neighbour(l + 1)[j * m + i];
-  }
+  // The matrix, in tiles: of link l the lower triangle of what it has itself and from the node behind it, and that of
+  // what it has from the node before it.
+  double* own(int l) const { return &blocks_[l * kOfLink]; }
+  double* from_before(int l) const { return own(l) + kLower; }
+  // What ties it to the link that is eliminated next, whose rows it has.
+  double* neighbour(int l) const { return from_before(l) + kLower; }
+  // Whether the next is the one behind it.
+  static bool goes_on(int l) { return l < kMiddle; }
 
   JAXSCP_CALLED void factor() {
     share_among_teams(2, [&](int end) {
       double* tile = tile_of_warp();
       auto begin = [&](int t) {
-        if (t < count(end)) fetch(fetched(end, t), own(link(end, t)), 3 * kBlockSize);
+        if (t < count(end)) fetch(fetched(end, t), own(link(end, t)), kOfLink);
       };
       begin(0);
+      double update[kLower / kTile][2] = {};  // what the last link takes from this one
+#pragma unroll 1
       for (int t = 0; t < count(end); ++t) {
         const int l = link(end, t);
-        double* here = fetched(end, t);
-        const double *before = here + kBlockSize, *next = before + kBlockSize, *update = fetched(end, t + 1);
+        const double *here = fetched(end, t), *next = here + 2 * kLower;
         wait_for_fetched<0>();
-        in_team(m * m, [&](int e) { tile[e] = here[e] + (l > 0 ? before[e] : 0.0) - (t > 0 ? update[e] : 0.0); });
         begin(t + 1);
+        assemble(tile, [&](int at, int e) {
+          const int k = at + 2 * lane_of_warp() + e;
+          return here[k] + (l > 0 ? here[kLower + k] : 0.0) - update[at / kTile][e];
+        });
         double *inverse = &inverse_[l * kBlockSize], *step = &step_[l * kBlockSize];
         invert_factor<m>(tile);
-        Products<m, 2 * m> products(tile);
-        products.find([&](int i, int j) { return next[j * m + i]; });
-        products.each_of_gram([&](int i, int j, double v) { here[j * m + i] = v; });
-        products.each_of_solved([&](int i, int j, double v) { step[j * m + i] = v; });
+        const Products<m> products(tile);
+        typename Products<m>::Row k[kAcross];
+#pragma unroll
+        for (int s = 0; s < kAcross; ++s) {
+          k[s] = products.find([&](int i, int j) { return next[square_tile(s, j / 8) + i * 8 + j % 8]; });
+#pragma unroll
+          for (int t = 0; t <= s; ++t)
+            products.gram(k[s], k[t], [&](const double (&sums)[2]) {
+              for (int e = 0; e < 2; ++e) update[lower_tile(s, t) / kTile][e] = sums[e];
+            });
+        }
+#pragma unroll
+        for (int s = 0; s < kAcross; ++s)
+          products.each_of_solved(k[s], [&](int i, int j, double v) {
+            if (8 * s + i < m) step[j * m + 8 * s + i] = v;
+          });
         products.each_of_inverse([&](int i, int j, double v) { inverse[j * m + i] = v; });
         __syncwarp();
       }
+      for (int q = 0; q < kLower / kTile; ++q)
+        put_pair(fetched(end, 0) + q * kTile + 2 * lane_of_warp(), update[q][0], update[q][1]);
     });
     share_among_teams(1, [&](int) {
       double *tile = tile_of_warp(), *inverse = &inverse_[kMiddle * kBlockSize];
-      in_team(m * m, [&](int e) {
-        double v = own(kMiddle)[e] + (kMiddle > 0 ? from_before(kMiddle)[e] : 0.0);
-        for (int end = 0; end < 2; ++end)
-          if (count(end) > 0) v -= fetched(end, count(end) - 1)[e];
-        tile[e] = v;
+      assemble(tile, [&](int at, int e) {
+        const int k = at + 2 * lane_of_warp() + e;
+        double v = own(kMiddle)[k] + (kMiddle > 0 ? from_before(kMiddle)[k] : 0.0);
+        for (int end = 0; end < 2; ++end) v -= fetched(end, 0)[k];
+        return v;
       });
       invert_factor<m>(tile);
-      Products<m, m>(tile).each_of_inverse([&](int i, int j, double v) { inverse[j * m + i] = v; });
+      Products<m>(tile).each_of_inverse([&](int i, int j, double v) { inverse[j * m + i] = v; });
     });
   }
 
@@ -105,11 +124,22 @@ class Chain {
   static int count(int end) { return end == 0 ? kMiddle : kLinks - 1 - kMiddle; }
   static int link(int end, int t) { return end == 0 ? t : kLinks - 1 - t; }
 
-  // By columns: what ties a block to the one that is eliminated next, whose rows it has.
-  double* neighbour(int l) const { return from_before(l) + kBlockSize; }
-  // Where an end's t-th block is fetched, by turns in one of two places; it leaves there what the next takes from it.
-  static double* fetched(int end, int t) { return ahead_of(end) + t % 2 * 3 * kBlockSize; }
+  // Where an end's t-th link is fetched, by turns in one of two places.
+  static double* fetched(int end, int t) { return ahead_of(end) + t % 2 * kOfLink; }
   double* vector(int l) const { return &vector_[l * m * kSides]; }
+  // By a team, a symmetric block by columns, of whose lower tile at ``at`` a lane has value(at, e), e < 2.
+  template <typename Value>
+  static void assemble(double* columns, Value value) {
+    const int row = lane_of_warp() / 4, column = lane_of_warp() % 4 * 2;
+#pragma unroll
+    for (int s = 0; s < kAcross; ++s)
+#pragma unroll
+      for (int t = 0; t <= s; ++t)
+#pragma unroll
+        for (int e = 0; e < 2; ++e)
+          if (int i = 8 * s + row, j = 8 * t + column + e; i < m && j <= i) columns[j * m + i] = value(lower_tile(s, t), e);
+    __syncwarp();
+  }
   double& solution(int l, int s) const { return solution_.of(l, m * kSides)[lane_of_warp() * kSides + s]; }
   double* into_middle(int end) const { return &into_middle_[end * m * kSides]; }
 

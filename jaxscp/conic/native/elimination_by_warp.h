@@ -21,7 +21,7 @@ inline double inverse_root(double v) {
   double y;
   asm("rsqrt.approx.ftz.f64 %0, %1;" : "=d"(y) : "d"(v));
   const double error = fma(-v * y, y, 1.0);
-  return fma(y * error, fma(error, 0.375, 0.5), y);
+  return fma(y * error, __dadd_rn(__dmul_rn(error, 0.375), 0.5), y);
 #endif
 }
 
@@ -50,7 +50,7 @@ JAXSCP_CALLED void invert_factor(double* tile) {
   Both* eliminated = reinterpret_cast<Both*>(passed());  // zero from kSize on
   for (int k = lane_of_warp(); k < 2 * kSize; k += kWarp) eliminated[k] = {0.0, 0.0};
   __syncwarp();
-#pragma unroll 1
+#pragma unroll
   for (int j = 0; j + 1 < kSize; j += 2) {
     const double mine = kHalves == 2 ? __shfl_sync(kEvery, row[0], i) : row[0];
     const double mine_next = kHalves == 2 ? __shfl_sync(kEvery, row[0], i + kOther) : row[1 % kSlots];
@@ -71,10 +71,10 @@ JAXSCP_CALLED void invert_factor(double* tile) {
       Both with[kAtOnce];
 #pragma unroll
       for (int k = 0; k < kAtOnce; ++k)
-        if (begin + k < kSlots) with[k] = eliminated[j + (begin + k) * kHalves + half];
+        if (j + (begin + k) * kHalves < kSize) with[k] = eliminated[j + (begin + k) * kHalves + half];
 #pragma unroll
       for (int k = 0; k < kAtOnce; ++k)
-        if (const int s = begin + k; s < kSlots)
+        if (const int s = begin + k; j + s * kHalves < kSize)
           row[s - 2 / kHalves] = (spent ? 0.0 : row[s]) - first * with[k].column - second * with[k].next;
     }
     __syncwarp();
@@ -98,67 +98,61 @@ inline void add_products(double (&sums)[2], double a, double b) {
 }
 #endif
 
-// Products of an eliminated panel: M is in the tile, and K in the registers of the tensor cores' sums.
-template <int kSize, int kRows>
+// Products of an eliminated panel: M is in a tile. Eight rows of what is below A, and of K, are a ``Row``, as they lie in
+// the registers of the tensor cores' sums; as such they are factors for the next product, whose columns are then taken in
+// another order.
+template <int kSize>
 class Products {
  public:
+  static constexpr int kTiles = (kSize + 7) / 8;
+  struct Row {
+    double tiles[kTiles][2] = {};
+  };
+
   explicit Products(const double* tile) : tile_(tile) {}
 
-  // K for rows b(i, j).
+  // Of K the rows whose b(i, j), i < 8, are given.
   template <typename Below>
-  void find(Below below) {
+  Row find(Below below) const {
+    Row found;
+    double b[kSteps];
 #pragma unroll
-    for (int s = 0; s < kTilesBelow; ++s) {
-      double b[kSteps];
+    for (int k = 0; k < kSteps; ++k) b[k] = 4 * k + column_ < kSize ? below(row_, 4 * k + column_) : 0.0;
+    __syncwarp();
 #pragma unroll
-      for (int k = 0; k < kSteps; ++k) {
-        const int i = 8 * s + row_, j = 4 * k + column_;
-        b[k] = i < kBelow && j < kSize ? below(i, j) : 0.0;
-      }
+    for (int k = 0; k < kSteps; ++k)
+#pragma unroll
+      for (int u = k / 2; u < kTiles; ++u) add_products(found.tiles[u], b[k], m(4 * k + column_, 8 * u + row_));
+    return found;
+  }
+
+  // A tile of K K': put takes its sums as they lie.
+  template <typename Put>
+  static void gram(const Row& a, const Row& b, Put put) {
+    double sums[2] = {};
+    __syncwarp();
+#pragma unroll
+    for (int u = 0; u < kTiles; ++u)
+#pragma unroll
+      for (int e = 0; e < 2; ++e) add_products(sums, a.tiles[u][e], b.tiles[u][e]);
+    put(sums);
+  }
+
+  // Entries (i, j), i < 8, of B A^-1 = K M'.
+  template <typename Put>
+  void each_of_solved(const Row& of_k, Put put) const {
+#pragma unroll
+    for (int t = 0; t < kTiles; ++t) {
+      double sums[2] = {};
       __syncwarp();
 #pragma unroll
-      for (int k = 0; k < kSteps; ++k)
+      for (int u = t; u < kTiles; ++u)
 #pragma unroll
-        for (int u = k / 2; u < kTiles; ++u) add_products(k_[s][u], b[k], m(4 * k + column_, 8 * u + row_));
+        for (int e = 0; e < 2; ++e) add_products(sums, of_k.tiles[u][e], m(8 * t + row_, 8 * u + 2 * column_ + e));
+#pragma unroll
+      for (int e = 0; e < 2; ++e)
+        if (const int j = 8 * t + 2 * column_ + e; j < kSize) put(row_, j, sums[e]);
     }
-  }
-
-  // Sums as they lie are factors for the next product, whose columns are then taken in another order.
-
-  // Entries of K K', of its lower triangle.
-  template <typename Put>
-  void each_of_gram(Put put) const {
-#pragma unroll
-    for (int s = 0; s < kTilesBelow; ++s)
-#pragma unroll
-      for (int t = 0; t <= s; ++t) {
-        double sums[2] = {};
-        __syncwarp();
-#pragma unroll
-        for (int u = 0; u < kTiles; ++u)
-#pragma unroll
-          for (int e = 0; e < 2; ++e) add_products(sums, k_[s][u][e], k_[t][u][e]);
-        put_tile(s, t, kBelow, kBelow, sums, [&](int i, int j, double v) {
-          if (j <= i) put(i, j, v);
-        });
-      }
-  }
-
-  // Entries of B A^-1 = K M'.
-  template <typename Put>
-  void each_of_solved(Put put) const {
-#pragma unroll
-    for (int s = 0; s < kTilesBelow; ++s)
-#pragma unroll
-      for (int t = 0; t < kTiles; ++t) {
-        double sums[2] = {};
-        __syncwarp();
-#pragma unroll
-        for (int u = t; u < kTiles; ++u)
-#pragma unroll
-          for (int e = 0; e < 2; ++e) add_products(sums, k_[s][u][e], m(8 * t + row_, 8 * u + 2 * column_ + e));
-        put_tile(s, t, kBelow, kSize, sums, put);
-      }
   }
 
   // Entries of A^-1 = M M'.
@@ -173,28 +167,20 @@ class Products {
 #pragma unroll
         for (int k = 2 * s; k < kSteps; ++k)
           add_products(sums, m(8 * s + row_, 4 * k + column_), m(8 * t + row_, 4 * k + column_));
-        put_tile(s, t, kSize, kSize, sums, [&](int i, int j, double v) {
-          if (j <= i) put(i, j, v), put(j, i, v);
-        });
+#pragma unroll
+        for (int e = 0; e < 2; ++e)
+          if (const int i = 8 * s + row_, j = 8 * t + 2 * column_ + e; i < kSize && j <= i)
+            put(i, j, sums[e]), put(j, i, sums[e]);
       }
   }
 
  private:
-  static constexpr int kBelow = kRows - kSize, kTilesBelow = (kBelow + 7) / 8;
-  static constexpr int kTiles = (kSize + 7) / 8, kSteps = (kSize + 3) / 4;
+  static constexpr int kSteps = (kSize + 3) / 4;
 
   double m(int i, int j) const { return i < kSize && j < kSize ? tile_[j * kSize + i] : 0.0; }
 
-  template <typename Put>
-  void put_tile(int s, int t, int rows, int columns, const double (&sums)[2], Put put) const {
-#pragma unroll
-    for (int e = 0; e < 2; ++e)
-      if (int i = 8 * s + row_, j = 8 * t + 2 * column_ + e; i < rows && j < columns) put(i, j, sums[e]);
-  }
-
   const double* tile_;
   int row_ = lane_of_warp() / 4, column_ = lane_of_warp() % 4;
-  double k_[kTilesBelow > 0 ? kTilesBelow : 1][kTiles][2] = {};
 };
 
 // out = M' v for S vectors side by side, M being upper triangular and given by the columns of that triangle: four lanes

@@ -12,18 +12,19 @@ namespace jaxscp {
 class Nodes {
  public:
   Nodes(const Program& program, Arena& arena)
-      : program_(program), factors_(arena.take(nodes * kTriangle)), ties_(arena.take(nodes * 2 * m * n)),
+      : program_(program), factors_(arena.take(nodes * kTriangle)), ties_(arena.take(nodes * kOfNode)),
         right_(arena.take(program.packs * n * kSides)), found_(arena.take(right_.size)) {}
 
   // Begins with another program: what ties nodes to links, node by node, and where among it an entry is.
   JAXSCP_CALLED void read() {
     const Matrix &after = program_.after, &before = program_.before;
-    share(2 * m * n, [&](int k) {
-      const int i = k / n, j = k % n, e = i < m ? after.number(i, j) : before.number(i - m, j);
-      place()[k] = e < 0 ? -1 : i < m ? e : after.entries + e;
+    share(2 * kPadded * n, [&](int k) {
+      const int i = k / n, j = k % n, of_link = i % kPadded;
+      const int e = of_link >= m ? -1 : i < kPadded ? after.number(i, j) : before.number(of_link, j);
+      place()[k] = e < 0 ? -1 : i < kPadded ? e : after.entries + e;
     });
     share_among_teams(nodes, [&](int p) {
-      double* tie = &ties_[p * 2 * m * n];
+      double* tie = ties(p);
       in_team(after.entries, [&](int e) { tie[e] = after.at(p)[e]; });
       in_team(before.entries, [&](int e) { tie[after.entries + e] = before.at(p)[e]; });
     });
@@ -35,31 +36,25 @@ class Nodes {
   JAXSCP_CALLED void factor(Chain& chain, Add add, Own own, Diagonal diagonal) {
     share_among_teams(nodes + 1, [&](int p) {
       double *tile = tile_of_warp(), *of_link = passed();
-      auto compliance = [&](int i, int j) { return of_link[i] * of_link[j] + (i == j ? of_link[m + i] : 0.0); };
+      auto compliance = [&](int i, int j) {
+        return i < m && j < m ? of_link[i] * of_link[j] + (i == j ? of_link[m + i] : 0.0) : 0.0;
+      };
       auto begin_link = [&] { in_team(m, [&](int i) { of_link[i] = own(p, i), of_link[m + i] = diagonal(p, i); }); };
       if (p == nodes) {  // a link, but no node
         begin_link();
-        in_team(m * m, [&](int e) { chain.own(p)[e] = compliance(e % m, e / m); });
+        each_lower_tile([&](int at, int i, int j) {
+          put_pair(chain.own(p) + at, compliance(i, j), compliance(i, j + 1));
+        });
         return;
       }
       in_team(n * n, [&](int e) { tile[e] = 0.0; });
       add(p, Triangle{tile}, passed());
       invert_factor<n>(tile);
-      Products<n, n + 2 * m> products(tile);
-      const double* tie = &ties_[p * 2 * m * n];
-      products.find([&](int i, int j) {
-        const int e = place()[i * n + j];
-        return e < 0 ? 0.0 : tie[e];
-      });
       double* factor = &factors_[p * kTriangle];
       for (int j = 0; j < n; ++j)
         if (int i = lane_of_warp(); i <= j) factor[j * (j + 1) / 2 + i] = tile[j * n + i];
       begin_link();
-      products.each_of_gram([&](int i, int j, double v) {
-        if (i < m) chain.own(p)[j * m + i] = v + compliance(i, j);
-        else if (j >= m) chain.from_before(p + 1)[(j - m) * m + i - m] = v;
-        else chain.above(p, j, i - m) = v;
-      });
+      put(chain, p, compliance);
       __syncwarp();
     });
     chain.factor();
@@ -109,6 +104,7 @@ class Nodes {
 
  private:
   static constexpr int n = ProgramLayout::n, m = ProgramLayout::m, nodes = ProgramLayout::nodes;
+  static constexpr int kOfNode = 2 * m * n;  // ties, at most
 
   // Entries (i, j) of a matrix by columns.
   struct Triangle {
@@ -117,9 +113,73 @@ class Nodes {
   };
 
   Entries found(int p) const { return found_.of(p, n * kSides); }
+  // Where among a node's ties is what it has in rows of its link, and then of the next, both padded.
   static short* place() {
-    __shared__ short of_entry[2 * m * n];
+    __shared__ short of_entry[2 * kPadded * n];
     return of_entry;
+  }
+
+  // What ties node p to its link, and then to the next: the numbers of both matrices.
+  double* ties(int p) const { return &ties_[p * kOfNode]; }
+
+  // act(at, i, j) for two neighbours of each lower tile, of which the first is entry (i, j).
+  template <typename Act>
+  static void each_lower_tile(Act act) {
+    const int row = lane_of_warp() / 4, column = lane_of_warp() % 4 * 2;
+#pragma unroll
+    for (int s = 0; s < kAcross; ++s)
+#pragma unroll
+      for (int t = 0; t <= s; ++t) act(lower_tile(s, t) + 2 * lane_of_warp(), 8 * s + row, 8 * t + column);
+  }
+
+  // What the elimination of node p leaves in its links: of few rows of K at a time, as registers are few.
+  template <typename Compliance>
+  void put(const Chain& chain, int p, Compliance compliance) const {
+    const Products<n> products(tile_of_warp());
+    using Row = typename Products<n>::Row;
+    const int lane = lane_of_warp(), row = lane / 4, column = lane % 4 * 2;
+    const double* tie = ties(p);
+    auto find = [&](int s) {
+      return products.find([&](int i, int j) {
+        const int e = place()[(8 * s + i) * n + j];
+        return e < 0 ? 0.0 : tie[e];
+      });
+    };
+    Row later[kAcross];  // of the next link
+    double* from_before = chain.from_before(p + 1) + 2 * lane;
+#pragma unroll
+    for (int s = 0; s < kAcross; ++s) {
+      later[s] = find(kAcross + s);
+#pragma unroll
+      for (int t = 0; t <= s; ++t)
+        products.gram(later[s], later[t], [&](const double (&sums)[2]) {
+          put_pair(from_before + lower_tile(s, t), sums[0], sums[1]);
+        });
+    }
+    const bool goes_on = Chain::goes_on(p);
+    double *between = chain.neighbour(p) + 2 * lane, *turned = chain.neighbour(p + 1) + 8 * column + row;
+#pragma unroll
+    for (int t = 0; t < kAcross; ++t) {
+      const Row k = find(t);
+#pragma unroll
+      for (int s = 0; s < kAcross; ++s)
+        products.gram(later[s], k, [&](const double (&sums)[2]) {
+          if (goes_on) put_pair(between + square_tile(s, t), sums[0], sums[1]);
+          else turned[square_tile(t, s)] = sums[0], turned[square_tile(t, s) + 8] = sums[1];
+        });
+    }
+    Row first[kAcross];  // again
+    double* own = chain.own(p) + 2 * lane;
+#pragma unroll
+    for (int s = 0; s < kAcross; ++s) {
+      first[s] = find(s);
+#pragma unroll
+      for (int t = 0; t <= s; ++t)
+        products.gram(first[s], first[t], [&](const double (&sums)[2]) {
+          const int i = 8 * s + row, j = 8 * t + column;
+          put_pair(own + lower_tile(s, t), sums[0] + compliance(i, j), sums[1] + compliance(i, j + 1));
+        });
+    }
   }
 
   // ``found_`` = A^-1 v at all nodes; factors are fetched one ahead of their use.

@@ -49,8 +49,10 @@ class Matrix {
   template <typename From>
   void read(int nodes, int packs, Near& near, From from) {
     share(rows * columns, [&](int at) {
+      const int i = at / columns, j = at % columns;
       bool filled = false;
-      for (int k = 0; k < nodes && !filled; ++k) filled = from(k, at / columns, at % columns) != 0.0;
+#pragma unroll 8
+      for (int k = 0; k < nodes; ++k) filled |= from(k, i, j) != 0.0;  // none waits for the one before
       place_[at] = filled ? 0 : kNone;
     });
     list(far_.row_start, rows, columns, [&](int i, int j) { return i * columns + j; },
@@ -143,10 +145,7 @@ class Matrix {
       for (int j = 0; j < length; ++j) count += place_[place(i, j)] != kNone;
       begin[i + 1] = count;
     });
-    once([&] {
-      begin[0] = 0;
-      for (int i = 0; i < lines; ++i) begin[i + 1] += begin[i];
-    });
+    add_up(begin, lines);
     share(lines, [&](int i) {
       int number = begin[i];
       for (int j = 0; j < length; ++j)

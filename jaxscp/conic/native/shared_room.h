@@ -18,12 +18,19 @@ constexpr int even(int count) { return (count + 1) / 2 * 2; }  // what can be fe
 // Of a node's factor; a tile has room for two.
 constexpr int kTriangle = even(kLayout.n * (kLayout.n + 1) / 2);
 constexpr int kTileSize = even(larger_of(2 * kTriangle, larger_of(kLayout.n * kLayout.n, kLayout.m * kLayout.m)));
-constexpr int kBlockSize = even(kLayout.m * kLayout.m);  // of the chain
-constexpr int kAhead = 6 * kBlockSize;  // of an end of the chain
+
+// Blocks of the chain lie in tiles of eight rows and columns, row by row, as tensor cores' sums do: a lane has two
+// neighbours, at twice its number. Of a symmetric block the lower tiles are there.
+constexpr int kTile = 64, kAcross = (kLayout.m + 7) / 8, kPadded = 8 * kAcross;
+constexpr int kLower = kAcross * (kAcross + 1) / 2 * kTile, kSquare = kAcross * kAcross * kTile;
+constexpr int lower_tile(int s, int t) { return (s * (s + 1) / 2 + t) * kTile; }
+constexpr int square_tile(int s, int t) { return (s * kAcross + t) * kTile; }
+constexpr int kOfLink = 2 * kLower + kSquare;
+
+constexpr int kBlockSize = even(kLayout.m * kLayout.m);  // of a block by columns
+constexpr int kAhead = larger_of(2 * kOfLink, 6 * kBlockSize);  // of an end of the chain
 // Both ends are eliminated in tiles of two warps; what they fetch is where other warps have theirs.
-constexpr int kSharedRoom = larger_of(kWarps, 2) * kTileSize > 2 * (kTileSize + kAhead)
-                                ? larger_of(kWarps, 2) * kTileSize
-                                : 2 * (kTileSize + kAhead);
+constexpr int kSharedRoom = larger_of(larger_of(kWarps, 2) * kTileSize, 2 * (kTileSize + kAhead));
 
 #if defined(JAXSCP_EMULATED_GPU)
 inline double* shared_room() {
@@ -33,6 +40,7 @@ inline double* shared_room() {
 inline void fetch(double* to, const double* from, int count) {
   in_team(count, [&](int i) { to[i] = from[i]; });
 }
+inline void put_pair(double* to, double first, double second) { to[0] = first, to[1] = second; }
 template <int kLeft>
 inline void wait_for_fetched() {
   __syncwarp();
@@ -50,6 +58,10 @@ inline void fetch(double* to, const double* from, int count) {
                  "l"(__cvta_generic_to_global(from + i))
                  : "memory");
   asm volatile("cp.async.commit_group;" ::: "memory");
+}
+// Puts two neighbours, the first of them at an even place.
+inline void put_pair(double* to, double first, double second) {
+  *reinterpret_cast<double2*>(to) = double2{first, second};
 }
 // Until no more than so many copies are under way, those that began last.
 template <int kLeft>

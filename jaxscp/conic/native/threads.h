@@ -120,6 +120,26 @@ inline void once(Act act) {
   __syncthreads();
 }
 
+// begin[i + 1] becomes the sum of all such up to there, which follow begin[0] = 0.
+inline void add_up(int* begin, int count) {
+  share_among_teams(1, [&](int) {
+    if (lane_of_warp() == 0) begin[0] = 0;
+    int before = 0;
+#pragma unroll 1
+    for (int first = 0; first < count; first += kWarp) {
+      const int i = first + lane_of_warp();
+      int total = i < count ? begin[i + 1] : 0;
+      for (int apart = 1; apart < kWarp; apart *= 2) {
+        const int other = __shfl_sync(kEvery, total, lane_of_warp() >= apart ? lane_of_warp() - apart : 0);
+        if (lane_of_warp() >= apart) total += other;
+      }
+      total += before;
+      if (i < count) begin[i + 1] = total;
+      before = __shfl_sync(kEvery, total, kWarp - 1);
+    }
+  });
+}
+
 // All take part from the beginning to the end.
 inline bool admit() { return true; }
 inline void dismiss() {}
@@ -199,6 +219,13 @@ inline void once(Act act) {
   wait();
   if (seat.me == 0) act();
   wait();
+}
+
+inline void add_up(int* begin, int count) {
+  once([&] {
+    begin[0] = 0;
+    for (int i = 0; i < count; ++i) begin[i + 1] += begin[i];
+  });
 }
 
 // At the head of what all do together: lets in who wants to take part, at the same place. False for who does not.
