@@ -17,7 +17,7 @@ LIBRARIES = {  # with what is compiled for a level of the instruction set, and w
     Path("jaxscp/normal/native/normal"): (("handler",), ()),
     Path("jaxscp/riccati/native/riccati"): (("handler",), ()),
     Path("jaxscp/semidefinite/native/semidefinite"): (("handler",), ()),
-    Path("jaxscp/sweeps/native/sweep"): (("handler",), ()),
+    Path("jaxscp/sweeps/native/sweep"): (("handler",), ("gpu_handler",)),
 }
 X86 = {
     "v4": ("-march=x86-64-v4", "-mprefer-vector-width=512"),

@@ -23,7 +23,10 @@ from jaxscp import libraries
 
 FORMAT = 7
 PROGRAMS = ("setup", "solve", "conclude")
-COMPILED = (libraries.ON_GPU, *(target for library in libraries.EVERY for target in library.targets))
+COMPILED = (
+    *(library.on_gpu for library in libraries.EVERY if library.on_gpu),
+    *(target for library in libraries.EVERY for target in library.targets),
+)
 """What programs may call that was compiled at installation."""
 
 
@@ -72,11 +75,14 @@ def machine() -> dict[str, str]:
 
 def is_here(target: str) -> bool:
     """Whether what a program calls was compiled at this installation; makes it known to XLA."""
-    if target == libraries.ON_GPU:
-        from jaxscp.conic.native import gpu  # for a GPU alone
+    for library in libraries.EVERY:
+        if target == library.on_gpu:
+            from jaxscp.libraries import cuda  # for a GPU alone
 
-        return gpu.available()
-    return any(target in library.targets and library.available() for library in libraries.EVERY)
+            return cuda.launches(library)
+        if target in library.targets:
+            return library.available()
+    return False
 
 
 def _instructions() -> str:

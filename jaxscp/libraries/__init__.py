@@ -7,6 +7,7 @@ What they share is here too:
     memory.h       arrays that serve again
     runs_here.cc   whether this machine has the instructions of a library
     spread.h       work shared among the threads of XLA
+    driver.h       NVIDIA's driver, for what launches kernels on a GPU; ``cuda.py`` compiles those
 """
 
 import ctypes
@@ -27,19 +28,24 @@ def in_float64(tree: Any) -> bool:
     return all(leaf.dtype == jnp.float64 for leaf in jax.tree.leaves(tree))
 
 
-def choose(cpu: Callable[..., Any] | None, elsewhere: Callable[..., Any], *args: Any) -> Any:
+def choose(
+    cpu: Callable[..., Any] | None,
+    elsewhere: Callable[..., Any],
+    *args: Any,
+    cuda: Callable[..., Any] | None = None,
+) -> Any:
     """Call the function of the device; that of other devices is not even traced where there are none.
 
     Args:
         cpu: what was compiled for CPUs, if anything was.
         elsewhere: the same as JAX.
-        args: of both.
+        args: of all.
+        cuda: what was compiled for the GPU that is JAX's default device, if anything was.
     """
-    if cpu is None:
-        return elsewhere(*args)
-    if jax.default_backend() == "cpu":
+    if cpu is not None and jax.default_backend() == "cpu":
         return cpu(*args)
-    return jax.lax.platform_dependent(*args, cpu=cpu, default=elsewhere)
+    compiled = {name: found for name, found in (("cpu", cpu), ("cuda", cuda)) if found is not None}
+    return jax.lax.platform_dependent(*args, **compiled, default=elsewhere) if compiled else elsewhere(*args)
 
 
 class Library(NamedTuple):
@@ -49,6 +55,8 @@ class Library(NamedTuple):
     """Of its files, ``stem_level.so``."""
     targets: tuple[str, ...]
     """What XLA calls on a CPU."""
+    on_gpu: str = ""
+    """What it calls on an NVIDIA GPU to launch a kernel, if there is one; of the same files."""
 
     def available(self) -> bool:
         """Whether it was compiled for this machine; makes its targets known to XLA."""
@@ -61,16 +69,18 @@ class Library(NamedTuple):
 
 
 _PACKAGE = Path(__file__).parents[1]
-INTERIOR_POINT = Library(_PACKAGE / "conic/native/interior_point", ("jaxscp_interior_point", "jaxscp_scales"))
+INTERIOR_POINT = Library(
+    _PACKAGE / "conic/native/interior_point",
+    ("jaxscp_interior_point", "jaxscp_scales"),
+    "jaxscp_interior_point_on_gpu",
+)
 NORMAL = Library(_PACKAGE / "normal/native/normal", ("jaxscp_normal",))
 RICCATI = Library(_PACKAGE / "riccati/native/riccati", ("jaxscp_riccati_factor", "jaxscp_riccati_solve"))
 SEMIDEFINITE = Library(
     _PACKAGE / "semidefinite/native/semidefinite", ("jaxscp_nearest_semidefinite", "jaxscp_eigen")
 )
-SWEEP = Library(_PACKAGE / "sweeps/native/sweep", ("jaxscp_sweep",))
+SWEEP = Library(_PACKAGE / "sweeps/native/sweep", ("jaxscp_sweep",), "jaxscp_sweep_on_gpu")
 EVERY = (INTERIOR_POINT, NORMAL, RICCATI, SEMIDEFINITE, SWEEP)
-ON_GPU = "jaxscp_interior_point_on_gpu"
-"""What XLA calls on an NVIDIA GPU, of the same file as ``INTERIOR_POINT``."""
 
 
 @functools.cache

@@ -1,7 +1,8 @@
 """One pass through intervals: what they give, its Jacobian, and the curvature of its priced sum.
 
-Where all is arithmetic its operations are found first: C++ plays them on a CPU, if it was compiled. On other devices
-JAX plays those of the slopes, where nothing else is asked. Derivatives of a pass are those of the pass in JAX.
+Where all is arithmetic its operations are found first: C++ plays them on a CPU, if it was compiled. Where only the end
+is asked, those of the slopes are a kernel on an NVIDIA GPU, and on other devices JAX plays them. Derivatives of a pass
+are those of the pass in JAX.
 """
 
 import contextlib
@@ -12,8 +13,8 @@ import equinox as eqx
 import jax
 from jaxtyping import Array, Float
 
-from jaxscp.libraries import choose
-from jaxscp.sweeps import compiled, in_jax, played, tracing
+from jaxscp.libraries import choose, cuda
+from jaxscp.sweeps import compiled, in_jax, kernel, played, tracing
 from jaxscp.sweeps.intervals import Given, Intervals, Outcome
 
 
@@ -50,13 +51,16 @@ def _(primals, tangents):
 
 @eqx.filter_custom_jvp
 def _linear(intervals: Intervals, w: Array, given: Given) -> tuple[Outcome, Outcome]:
+    on_gpu = _by_kernel(intervals, w)
+
     def elsewhere(w, given):
-        if jax.default_backend() != "cpu" and intervals.watch.nothing:
+        # what a kernel does on this process's device is not traced again in full
+        if on_gpu is None and jax.default_backend() != "cpu" and intervals.watch.nothing:
             with contextlib.suppress(tracing.CannotTrace):
                 return played.linear(intervals, w)
         return in_jax.linear(intervals, w, given)
 
-    return choose(_in_cpp(intervals, w, given, order=1), elsewhere, w, given)
+    return choose(_in_cpp(intervals, w, given, order=1), elsewhere, w, given, cuda=on_gpu)
 
 
 @_linear.def_jvp
@@ -84,3 +88,16 @@ def _in_cpp(intervals: Intervals, w: Array, given: Given, order: int) -> Callabl
     except tracing.CannotTrace:
         return None
     return lambda w, given, prices=None: compiled.sweep(intervals, found, w, given, prices, order)
+
+
+def _by_kernel(intervals: Intervals, w: Array) -> Callable[..., Any] | None:
+    """The pass and its Jacobian by a kernel, as a function of (w, given); None where there is none."""
+    capability = cuda.capability()
+    if capability is None or not kernel.serves(intervals, w):
+        return None
+    try:
+        found = kernel.record(intervals, w.shape[-1])
+    except tracing.CannotTrace:
+        return None
+    image = kernel.image(found.text, capability)
+    return None if image is None else lambda w, _: kernel.sweep(intervals, found, image, w)

@@ -1,7 +1,8 @@
 """The pass in JAX by a tape: every number is an array over the intervals, every tangent one over the inputs too.
 
 What is elementwise a compiler fuses: of a step it makes a few kernels, where derivatives of the rate by JAX are
-hundreds of operations on small arrays, most of whose entries are zero. This is the way of GPUs.
+hundreds of operations on small arrays, most of whose entries are zero. This is the way of GPUs for which there is no
+kernel.
 """
 
 from collections.abc import Callable

@@ -5,20 +5,17 @@ is compiled with that loop. Without either, and on other GPUs, the interior poin
 """
 
 import functools
-import hashlib
-import importlib
-import warnings
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import jax
 import numpy as np
 
 from jaxscp import libraries
 from jaxscp.conic.program import StagedProgram
+from jaxscp.libraries import cuda
+from jaxscp.libraries.cuda import compiler
 
-TARGET = libraries.ON_GPU
-OLDEST = (8, 0)  # compute capability: the first whose tensor cores add float64
+TARGET = libraries.INTERIOR_POINT.on_gpu
 THREADS = 256  # that solve a program together
 BLOCKS = 4  # programs that a multiprocessor has at once
 WARP = 32
@@ -58,80 +55,29 @@ def serves(program: StagedProgram) -> bool:
     return _kernel(program) is not None
 
 
-def capability() -> str | None:
-    """Compute capability of this process's GPUs, ``"90"`` say, if they have what the kernel needs and are alike."""
-    if jax.default_backend() != "gpu":
-        return None
-    found = {getattr(device, "compute_capability", "") for device in jax.local_devices()}
-    if len(found) != 1 or not all(part.isdecimal() for part in min(found).split(".")):
-        return None
-    number = tuple(map(int, min(found).split(".")))
-    return "".join(map(str, number)) if number >= OLDEST else None
-
-
 def available() -> bool:
     """Whether JAX runs on GPUs for the kernel, and what launches it was compiled; makes that known to XLA."""
-    return (
-        capability() is not None
-        and libraries.level(libraries.INTERIOR_POINT.stem, TARGET, "CUDA") is not None
-    )
-
-
-@functools.cache
-def compiler() -> Any:
-    """NVIDIA's run-time compiler, if it is installed."""
-    try:
-        nvrtc = importlib.import_module("cuda.bindings.nvrtc")
-        nvrtc.nvrtcVersion()
-    except (ImportError, RuntimeError, OSError):
-        return None
-    return nvrtc
+    return cuda.launches(libraries.INTERIOR_POINT)
 
 
 def _kernel(program: StagedProgram) -> bytes | None:
-    here, sizes = capability(), sizes_of(program)
+    here, sizes = cuda.capability(), sizes_of(program)
     return kernel(sizes, here, THREADS, BLOCKS) if here and compiler() and sizes.fit else None
 
 
 @functools.cache
 def kernel(sizes: Sizes, capability: str, threads: int, blocks: int) -> bytes | None:
     """The kernel for programs of these sizes, as machine code of the GPU; None and a warning if it does not compile."""
-    nvrtc = compiler()
     folder = Path(__file__).parent
-    options = [
-        f"--gpu-architecture=sm_{capability}",
-        "--std=c++20",
-        "--device-as-default-execution-space",
-        f"--include-path={folder}",
-        f"--include-path={Path(libraries.__file__).parent}",
-        f"-DJAXSCP_SIZES={sizes}",
-        f"-DJAXSCP_THREADS={threads}",
-        f"-DJAXSCP_BLOCKS={blocks}",
-    ]
-    source = (folder / "kernel.cu").read_bytes()
-
-    def checked(result: Any, *values: Any) -> Any:
-        if int(result) != 0:
-            raise RuntimeError(f"NVIDIA's compiler: {result}")
-        return values[0] if values else None
-
-    program = checked(*nvrtc.nvrtcCreateProgram(source, b"kernel.cu", 0, [], []))
-    try:
-        (result,) = nvrtc.nvrtcCompileProgram(program, len(options), [option.encode() for option in options])
-        if int(result) != 0:
-            log = bytearray(checked(*nvrtc.nvrtcGetProgramLogSize(program)))
-            checked(*nvrtc.nvrtcGetProgramLog(program, log))
-            said = log.decode(errors="replace").strip("\0\n ")
-            message = (
-                f"jaxscp: the interior point's kernel does not compile, and it runs as JAX ({result}: {said})"
-            )
-            warnings.warn(message, stacklevel=2)
-            return None
-        image = bytearray(checked(*nvrtc.nvrtcGetCUBINSize(program)))
-        checked(*nvrtc.nvrtcGetCUBIN(program, image))
-    finally:
-        checked(*nvrtc.nvrtcDestroyProgram(program))
-    return bytes(image)
+    return cuda.machine_code(
+        (folder / "kernel.cu").read_text(),
+        capability,
+        "the interior point",
+        (folder, Path(libraries.__file__).parent),
+        JAXSCP_SIZES=sizes,
+        JAXSCP_THREADS=threads,
+        JAXSCP_BLOCKS=blocks,
+    )
 
 
 def attributes(program: StagedProgram) -> dict:
@@ -139,6 +85,4 @@ def attributes(program: StagedProgram) -> dict:
     image = _kernel(program)
     if image is None:
         raise RuntimeError("jaxscp: no GPU here that the interior point's kernel runs on")
-    name = hashlib.sha256(image).hexdigest()
-    numbers = {"blocks": np.int64(BLOCKS), "threads": np.int64(THREADS)}
-    return {"image": np.frombuffer(image, np.uint8), "name": name, **numbers}
+    return cuda.attributes(image) | {"blocks": np.int64(BLOCKS), "threads": np.int64(THREADS)}

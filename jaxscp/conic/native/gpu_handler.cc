@@ -1,81 +1,14 @@
 // What XLA calls on an NVIDIA GPU: launches the kernel that ``gpu.py`` compiled, which the call carries with it.
-//
-// The driver is found when it is first needed, so that this compiles and loads on machines without one.
-
-#include <dlfcn.h>
-
-#include <map>
-#include <mutex>
-#include <string>
 
 #include "buffers.h"
-
-extern "C" {
-typedef struct CUctx_st* CUcontext;
-typedef struct CUstream_st* CUstream;
-typedef struct CUmod_st* CUmodule;
-typedef struct CUfunc_st* CUfunction;
-}
+#include "driver.h"
 
 namespace jaxscp {
 namespace {
 
-// The few functions of the driver that are needed, by NVIDIA's names and types.
-struct Driver {
-  int (*cuStreamGetCtx)(CUstream, CUcontext*);
-  int (*cuCtxPushCurrent_v2)(CUcontext);
-  int (*cuCtxPopCurrent_v2)(CUcontext*);
-  int (*cuCtxGetDevice)(int*);
-  int (*cuDeviceGetAttribute)(int*, int, int);
-  int (*cuModuleLoadData)(CUmodule*, const void*);
-  int (*cuModuleGetFunction)(CUfunction*, CUmodule, const char*);
-  int (*cuFuncSetAttribute)(CUfunction, int, int);
-  int (*cuLaunchKernel)(CUfunction, unsigned, unsigned, unsigned, unsigned, unsigned, unsigned, unsigned, CUstream,
-                        void**, void**);
-  int (*cuMemsetD8Async)(unsigned long long, unsigned char, size_t, CUstream);
-  int (*cuMemcpyDtoHAsync_v2)(void*, unsigned long long, size_t, CUstream);
-  int (*cuStreamSynchronize)(CUstream);
-  bool found = true;
-
-  Driver() {
-    void* library = dlopen("libcuda.so.1", RTLD_NOW | RTLD_GLOBAL);
-    auto find = [&](auto& function, const char* name) {
-      void* address = library ? dlsym(library, name) : nullptr;
-      found = found && address;
-      function = reinterpret_cast<std::remove_reference_t<decltype(function)>>(address);
-    };
-    find(cuStreamGetCtx, "cuStreamGetCtx"), find(cuCtxPushCurrent_v2, "cuCtxPushCurrent_v2");
-    find(cuCtxPopCurrent_v2, "cuCtxPopCurrent_v2"), find(cuCtxGetDevice, "cuCtxGetDevice");
-    find(cuDeviceGetAttribute, "cuDeviceGetAttribute"), find(cuModuleLoadData, "cuModuleLoadData");
-    find(cuModuleGetFunction, "cuModuleGetFunction"), find(cuFuncSetAttribute, "cuFuncSetAttribute");
-    find(cuLaunchKernel, "cuLaunchKernel");
-    find(cuMemsetD8Async, "cuMemsetD8Async"), find(cuMemcpyDtoHAsync_v2, "cuMemcpyDtoHAsync_v2");
-    find(cuStreamSynchronize, "cuStreamSynchronize");
-  }
-  static const Driver& get() {
-    static Driver driver;
-    return driver;
-  }
-};
-
 constexpr int kMultiprocessors = 16;  // CU_DEVICE_ATTRIBUTE_MULTIPROCESSOR_COUNT
 constexpr int kSharedMost = 8;        // CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES
 constexpr int kOutOfMemory = 2;       // CUDA_ERROR_OUT_OF_MEMORY
-
-// The first failure of the driver, with what was tried.
-struct Failure {
-  int code = 0;
-  const char* what = "";
-  bool operator()(int result, const char* tried) {
-    if (result != 0 && code == 0) code = result, what = tried;
-    return code == 0;
-  }
-  ffi::Error error() const {
-    if (code == 0) return ffi::Error::Success();
-    return ffi::Error::Internal(std::string("the interior point's kernel: ") + what + " failed with CUDA error " +
-                                std::to_string(code));
-  }
-};
 
 // A kernel in a GPU's memory.
 struct Loaded {
@@ -121,56 +54,42 @@ ffi::Error solve(CUstream stream, ffi::ScratchAllocator scratch, ffi::RemainingA
   const Driver& cuda = Driver::get();
   if (!cuda.found) return ffi::Error::Internal("the CUDA driver was not found, or is too old");
 
-  Failure failure;
-  CUcontext context = nullptr;
-  if (!failure(cuda.cuStreamGetCtx(stream, &context), "finding the device") ||
-      !failure(cuda.cuCtxPushCurrent_v2(context), "finding the device"))
-    return failure.error();
+  Failure failure{"the interior point's kernel"};
+  const Current current(cuda, stream, failure);
+  if (failure.code != 0) return failure.error();
   constexpr size_t kCounter = 256;   // bytes, so that what follows is aligned
   constexpr size_t kAlignment = 16;  // XLA promises no more, and gives 256
-  Loaded loaded;
-  static std::mutex lock;
-  static std::map<std::pair<CUcontext, std::string>, Loaded> kept;
-  auto key = std::make_pair(context, std::string(*name));
-  {
-    std::lock_guard<std::mutex> hold(lock);
-    if (auto at = kept.find(key); at != kept.end()) loaded = at->second;
-  }
-  // without the lock, for which another GPU may wait: to load it twice does no harm
-  if (!loaded.solve) {
+  static Kept<Loaded> kept;
+  const auto key = std::make_pair(current.context(), std::string(*name));
+  const Loaded loaded = kept.get(key, failure, [&] {
     auto number = scratch.Allocate(kCounter, kAlignment);
-    if (!number) failure(kOutOfMemory, "finding memory for it");
-    else loaded = load(cuda, *image, stream, *number, failure);
-    if (failure.code == 0 && (loaded.version != kVersion || loaded.batch != sizeof(Batch))) {
-      cuda.cuCtxPopCurrent_v2(&context);
-      return ffi::Error::Internal(
-          "the interior point's kernel is of another version of jaxscp: install that again, or export the planner again");
-    }
-    std::lock_guard<std::mutex> hold(lock);
-    if (failure.code == 0) kept.emplace(key, loaded);
-  }
+    if (number) return load(cuda, *image, stream, *number, failure);
+    failure(kOutOfMemory, "finding memory for it");
+    return Loaded();
+  });
+  if (failure.code == 0 && (loaded.version != kVersion || loaded.batch != sizeof(Batch)))
+    return ffi::Error::Internal(
+        "the interior point's kernel is of another version of jaxscp: install that again, or export the planner again");
   if (failure.code == 0 && found->batch.lanes > 0) {
     long long grid = std::min<long long>({found->batch.lanes, *blocks * loaded.multiprocessors, loaded.grid});
     auto find = [&] { return scratch.Allocate(kCounter + grid * loaded.room * sizeof(double), kAlignment); };
     auto memory = find();
     bool enough = memory.has_value();
     for (; !memory && grid > 1; memory = find()) grid /= 2;  // with little memory, fewer programs at once
-    if (!enough) {  // XLA waits for memory for seconds before it says so: not again
-      std::lock_guard<std::mutex> hold(lock);
-      kept[key].grid = grid;
-    }
+    // XLA waits for memory for seconds before it says so: not again
+    if (!enough) kept.change(key, [&](Loaded& it) { it.grid = grid; });
     if (!memory) {
       failure(kOutOfMemory, "finding memory for it");
     } else {
       void *taken = *memory, *room = static_cast<char*>(taken) + kCounter;
-      void* arguments[] = {&found->batch, &room, &loaded.room, &taken};
+      long long numbers = loaded.room;
+      void* arguments[] = {&found->batch, &room, &numbers, &taken};
       failure(cuda.cuMemsetD8Async(reinterpret_cast<unsigned long long>(taken), 0, kCounter, stream), "starting it") &&
           failure(cuda.cuLaunchKernel(loaded.solve, static_cast<unsigned>(grid), 1, 1, static_cast<unsigned>(*threads),
                                       1, 1, static_cast<unsigned>(loaded.shared), stream, arguments, nullptr),
                   "launching it");
     }
   }
-  cuda.cuCtxPopCurrent_v2(&context);
   return failure.error();
 }
 

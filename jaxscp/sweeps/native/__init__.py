@@ -1,4 +1,4 @@
-"""The C++ of the pass, as compiled for this machine.
+"""The C++ of the pass, as compiled for this machine, and the kernel's for NVIDIA GPUs.
 
 In the order in which they build on each other:
 
@@ -10,6 +10,8 @@ In the order in which they build on each other:
     prices.h       from prices of that to prices of the slopes
     tangents.h     the Jacobian and the curvature
     handler.cc     what XLA calls
+    source.py      the text of the kernel, from a tape; ``kernel.py`` compiles it
+    gpu_handler.cc what XLA calls to launch it
 """
 
 from jaxscp import libraries

@@ -1,0 +1,89 @@
+"""The pass as one kernel of an NVIDIA GPU, for float64 and intervals of which only the end is asked.
+
+As JAX plays a tape, every stage of every step is several kernels that read and write all tangents. Here they stay with
+the threads from an interval's begin to its end.
+"""
+
+import functools
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxscp import libraries
+from jaxscp.libraries import cuda
+from jaxscp.sweeps import functions, played
+from jaxscp.sweeps.functions import Function
+from jaxscp.sweeps.intervals import Intervals, Outcome
+from jaxscp.sweeps.native import source
+
+TARGET = libraries.SWEEP.on_gpu
+COLUMNS = 2  # of the tangent, that a thread carries
+
+
+class Kernel(NamedTuple):
+    """One, and what it is told."""
+
+    text: str
+    groups: int
+    """Threads of an interval."""
+    known: Float[Array, "numbers"]
+    """What depends on no interval's variables, and is read there."""
+
+
+def serves(intervals: Intervals, w: Array) -> bool:
+    """Whether there may be a kernel for these intervals, on the GPU that is JAX's default device."""
+    here = libraries.in_float64(w) and cuda.launches(libraries.SWEEP) and cuda.compiler() is not None
+    return here and intervals.watch.nothing
+
+
+def record(intervals: Intervals, inputs: int, columns: int = COLUMNS) -> Kernel:
+    """The kernel for intervals of so many inputs, of which a thread has so many columns.
+
+    Raises:
+        CannotTrace: if the slopes are not arithmetic alone.
+    """
+    n = intervals.states
+    argument = n + intervals.controls(inputs)
+    slopes = functions.record(lambda a: intervals.rate(a[:n], a[n:]), argument, (), order=1)
+    text = source.kernel(slopes, n, intervals.method, intervals.steps, columns)
+    return Kernel(text, source.groups(inputs, columns), _known(slopes))
+
+
+def _known(slopes: Function) -> Float[Array, "numbers"]:
+    """What the kernel reads of a flight, in its order."""
+    inputs = slopes.arguments + slopes.values
+    places = source.known(slopes.first, inputs)
+    once = slopes.first._replace(
+        operations=slopes.first.operations[: slopes.first.once], outputs=np.array(places, int)
+    )
+    nothing = [jnp.zeros(())] * inputs  # is read of the arguments
+    found = played.play(once, nothing, slopes.parameters[0])
+    return jnp.stack(found) if found else jnp.zeros(0)
+
+
+@functools.cache
+def image(text: str, capability: str) -> bytes | None:
+    """A kernel as machine code of the GPU; None and a warning if it does not compile."""
+    return cuda.machine_code(text, capability, "the sweep")
+
+
+def sweep(
+    intervals: Intervals, kernel: Kernel, machine_code: bytes, w: Float[Array, "intervals inputs"]
+) -> tuple[Outcome, Outcome]:
+    """The outcomes and their Jacobian, by a kernel for these intervals."""
+    count, inputs = w.shape
+    n = intervals.states
+    call = jax.ffi.ffi_call(
+        TARGET,
+        [jax.ShapeDtypeStruct((count, *shape), w.dtype) for shape in ((n + 1,), (n + 1, inputs))],
+        vmap_method="broadcast_all",
+    )
+    numbers = {"groups": np.int64(kernel.groups), "threads": np.int64(source.THREADS)}
+    end, jacobian = call(w, kernel.known, **numbers, **cuda.attributes(machine_code))
+    return (
+        Outcome(end[:, :n], end[:, n], (), jnp.zeros((count, 0))),
+        Outcome(jacobian[:, :n], jacobian[:, n], (), jnp.zeros((count, 0, inputs))),
+    )

@@ -1,0 +1,63 @@
+// What XLA calls on an NVIDIA GPU: launches the kernel that ``kernel.py`` compiled, which the call carries with it.
+
+#include <algorithm>
+#include <cstdint>
+
+#include "driver.h"
+
+namespace jaxscp {
+namespace {
+
+struct Loaded {
+  CUfunction sweep = nullptr;
+};
+
+// ``groups`` threads go through an interval; ``threads`` are a block.
+ffi::Error sweep(CUstream stream, ffi::Buffer<ffi::F64> w, ffi::Buffer<ffi::F64> known,
+                 ffi::ResultBuffer<ffi::F64> outcomes, ffi::ResultBuffer<ffi::F64> jacobian,
+                 ffi::Span<const uint8_t> image, std::string_view name, int64_t groups, int64_t threads) {
+  const auto shape = w.dimensions();
+  if (shape.size() < 2) return ffi::Error::InvalidArgument("the sweep lacks an axis");
+  long long intervals = shape[shape.size() - 2];  // of a flight
+  long long count = static_cast<long long>(w.element_count()) / std::max<long long>(shape.back(), 1);
+  const Driver& cuda = Driver::get();
+  if (!cuda.found) return ffi::Error::Internal("the CUDA driver was not found, or is too old");
+
+  Failure failure{"the sweep's kernel"};
+  const Current current(cuda, stream, failure);
+  if (failure.code != 0) return failure.error();
+  static Kept<Loaded> kept;
+  const Loaded loaded = kept.get({current.context(), std::string(name)}, failure, [&] {
+    Loaded found;
+    CUmodule module = nullptr;
+    failure(cuda.cuModuleLoadData(&module, image.begin()), "loading it") &&
+        failure(cuda.cuModuleGetFunction(&found.sweep, module, "jaxscp_sweep"), "finding it");
+    return found;
+  });
+  const long long blocks = (count * groups + threads - 1) / threads;
+  if (blocks > INT32_MAX) return ffi::Error::InvalidArgument("the sweep has more intervals than a GPU can be given");
+  if (failure.code == 0 && blocks > 0) {
+    const double *from = w.typed_data(), *by = known.typed_data();
+    double *to = outcomes->typed_data(), *slopes = jacobian->typed_data();
+    void* arguments[] = {&from, &by, &to, &slopes, &count, &intervals};
+    failure(cuda.cuLaunchKernel(loaded.sweep, static_cast<unsigned>(blocks), 1, 1, static_cast<unsigned>(threads), 1, 1,
+                                0, stream, arguments, nullptr),
+            "launching it");
+  }
+  return failure.error();
+}
+
+}  // namespace
+}  // namespace jaxscp
+
+XLA_FFI_DEFINE_HANDLER_SYMBOL(jaxscp_sweep_on_gpu, jaxscp::sweep,
+                              xla::ffi::Ffi::Bind()
+                                  .Ctx<xla::ffi::PlatformStream<CUstream>>()
+                                  .Arg<xla::ffi::Buffer<xla::ffi::F64>>()
+                                  .Arg<xla::ffi::Buffer<xla::ffi::F64>>()
+                                  .Ret<xla::ffi::Buffer<xla::ffi::F64>>()
+                                  .Ret<xla::ffi::Buffer<xla::ffi::F64>>()
+                                  .Attr<xla::ffi::Span<const uint8_t>>("image")
+                                  .Attr<std::string_view>("name")
+                                  .Attr<int64_t>("groups")
+                                  .Attr<int64_t>("threads"));

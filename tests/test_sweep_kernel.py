@@ -1,0 +1,171 @@
+"""The GPU's kernel of the pass through intervals without a GPU: run on a CPU thread by thread, and compiled by NVIDIA's
+compiler."""
+
+import ctypes
+import shutil
+import subprocess
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxscp import libraries, runge_kutta, sweeps
+from jaxscp.discretise import METHOD, interval_inputs
+from jaxscp.libraries import cuda
+from jaxscp.sweeps import Intervals, Watch, in_jax, kernel, without_data
+from tests.flights import random_nodes, short_problem
+from tests.test_sweeps import RATES, Everything, Watched, assert_same, case
+
+HERE = Path(__file__).parent
+COMPILER = shutil.which("g++")
+needs_compiler = pytest.mark.skipif(COMPILER is None, reason="no g++ to compile the kernel for this machine")
+needs_nvidia = pytest.mark.skipif(
+    cuda.compiler() is None, reason="needs NVIDIA's run-time compiler (extra cuda)"
+)
+
+
+def compile_here(source, library, *options):
+    headers = ["-isystem", jax.ffi.include_dir(), f"-I{HERE}"]
+    flags = ["-std=c++20", "-O0", "-fPIC", "-w", "-shared", *options]
+    subprocess.run([COMPILER, *flags, *headers, str(source), "-o", str(library)], check=True)
+
+
+@pytest.fixture(scope="module")
+def handler(tmp_path_factory):
+    """What calls the kernel on a CPU."""
+    library = tmp_path_factory.mktemp("handler") / "handler.so"
+    compile_here(HERE / "sweep_on_a_cpu.cc", library)
+    name = "jaxscp_test_sweep"
+    assert libraries.register(ctypes.CDLL(str(library)), kernel.TARGET, target=name)
+    return name
+
+
+@pytest.fixture
+def emulated(handler, tmp_path, monkeypatch):
+    """The pass by the kernel of some intervals, with so many columns a thread."""
+
+    def passed(columns):
+        def linear(intervals, w, _):
+            found = kernel.record(intervals, w.shape[-1], columns)
+            source, library = tmp_path / "kernel.cc", tmp_path / "kernel.so"
+            source.write_text(found.text)
+            compile_here(source, library, "-include", "threads_on_a_cpu.h")
+            return kernel.sweep(intervals, found, str(library).encode(), w)
+
+        return linear
+
+    monkeypatch.setattr(kernel, "TARGET", handler)
+    return passed
+
+
+class Steep(eqx.Module):
+    """The greatest of several numbers, which begins with less than any."""
+
+    def __call__(self, state, control):
+        return jnp.stack([jnp.max(state * control[0]), jnp.min(state), control[1] * jnp.max(state)])
+
+
+@needs_compiler
+@pytest.mark.parametrize(
+    ("rate", "method", "columns"),
+    [
+        (RATES["rigid body"], runge_kutta.CLASSICAL, 3),
+        (RATES["no parameters"], runge_kutta.SIXTH_ORDER, 4),
+        (RATES["every operation"], runge_kutta.CLASSICAL, 1),
+        ((Steep(), 2, 2), runge_kutta.CLASSICAL, 2),
+    ],
+    ids=[*RATES, "steep"],
+)
+def test_it_is_the_pass_in_jax(rate, method, columns, emulated):
+    intervals, w, data = case(*rate, method, order=1, watch=False)
+    assert_same(jax.jit(in_jax.linear)(intervals, w, data), jax.jit(emulated(columns))(intervals, w, data))
+
+
+@needs_compiler
+def test_it_is_the_pass_on_a_cpu_of_a_flight(emulated):
+    """As the paper's mode linearises it."""
+    problem = short_problem()
+    w = interval_inputs(problem, random_nodes(problem, 1))
+    intervals = Intervals(problem.slope, problem.state_size, METHOD, 10, 10)
+    arguments = intervals, w, without_data(intervals, w.shape[0])
+    assert_same(eqx.filter_jit(sweeps.linear)(*arguments), eqx.filter_jit(emulated(2))(*arguments))
+
+
+@needs_compiler
+def test_lanes_have_their_own_parameters_and_do_not_touch(emulated):
+    """Batched twice; of one lane a parameter is no number, of another an interval's variable."""
+    rate, states, controls = RATES["every operation"]
+    intervals, w, data = case(rate, states, controls, runge_kutta.CLASSICAL, order=1, watch=False)
+    scales = jnp.array([[1.0, 0.5, 0.8], [0.1, jnp.nan, 0.9]])
+    ws = (w * scales[:, :, None, None]).at[1, 1].set(w).at[0, 2, 7, 1].set(jnp.nan)
+
+    def all_by(linear):
+        def one(scale, w):
+            scaled = eqx.tree_at(lambda i: i.rate, intervals, Everything(rate.weight * scale))
+            return linear(scaled, w, data)
+
+        return jax.jit(jax.vmap(jax.vmap(one)))(scales, ws)
+
+    expected, found = all_by(in_jax.linear), all_by(emulated(2))
+    assert not np.isfinite(found[0].end[1, 1]).any()
+    assert np.isnan(found[1].end[0, 2, 7]).any()
+    for a, b in zip(jax.tree.leaves(expected), jax.tree.leaves(found), strict=True):
+        good = np.ones((2, 3, w.shape[0]), bool)
+        good[1, 1], good[0, 2, 7] = False, False
+        assert_same(a[good], b[good])
+
+
+class Bent(eqx.Module):
+    def __call__(self, state, control):
+        x, y = state
+        return jnp.stack([jnp.maximum(x, y), jnp.minimum(x, y), control[0]])
+
+
+@needs_compiler
+def test_no_number_stays_none(emulated):
+    """Whichever operand of a maximum or minimum it is, and in its own interval alone."""
+    intervals, w, data = case(Bent(), 2, 2, runge_kutta.CLASSICAL, order=1, watch=False)
+    w = w.at[3, 0].set(jnp.nan).at[5, 1].set(jnp.nan)
+    found, _ = jax.jit(emulated(1))(intervals, w, data)
+    expected = np.zeros(found.end.shape, bool)
+    expected[[3, 5]] = True
+    np.testing.assert_array_equal(np.isnan(found.end), expected)
+
+
+@needs_nvidia
+@pytest.mark.parametrize("capability", ["80", "90"])
+def test_kernel_compiles(capability):
+    intervals, w, _ = case(*RATES["every operation"], runge_kutta.CLASSICAL, order=1, watch=False)
+    image = kernel.image(kernel.record(intervals, w.shape[1]).text, capability)
+    assert image is not None
+    assert image.startswith(b"\x7fELF")
+
+
+@needs_nvidia
+def test_a_gpu_that_the_compiler_does_not_know_is_left_to_jax():
+    with pytest.warns(UserWarning, match="sweep's kernel does not compile, and it runs as JAX"):
+        assert kernel.image("", "999") is None
+
+
+def test_a_gpu_runs_the_kernel_and_other_devices_do_not(monkeypatch):
+    """As on a machine with a GPU: each device takes its own pass."""
+    intervals, w, data = case(*RATES["every operation"], runge_kutta.CLASSICAL, order=1, watch=False)
+    assert not kernel.serves(intervals, w)
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    monkeypatch.setattr(cuda, "capability", lambda: "90")
+    monkeypatch.setattr(cuda, "launches", lambda _: True)
+    monkeypatch.setattr(cuda, "compiler", lambda: "one")
+    monkeypatch.setattr(kernel, "image", lambda *_: b"an image")
+
+    def calls(platform, intervals, w, data):
+        traced = jax.jit(jax.vmap(lambda w: sweeps.linear(intervals, w, data))).trace(w[None])
+        return kernel.TARGET in traced.lower(lowering_platforms=(platform,)).as_text()
+
+    assert calls("cuda", intervals, w, data)
+    assert not calls("cpu", intervals, w, data)
+    assert not kernel.serves(intervals, w.astype(jnp.float32))
+    asked = eqx.tree_at(lambda i: i.watch, intervals, Watch(of_ends=Watched(2).of_ends))
+    assert not kernel.serves(asked, w)

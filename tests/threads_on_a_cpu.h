@@ -1,0 +1,28 @@
+// A GPU's threads on a CPU, one after another, for the kernel of the pass through intervals: none waits for another.
+#pragma once
+
+#include <cmath>
+
+#define __global__
+#define __launch_bounds__(threads)
+
+struct Index {
+  unsigned x = 0;
+};
+static Index threadIdx, blockIdx;
+
+static double __ldg(const double* at) { return *at; }
+using std::cos, std::exp, std::fabs, std::fma, std::log, std::sin, std::sqrt, std::tanh;
+
+extern "C" void jaxscp_sweep(const double* w, const double* known, double* outcomes, double* jacobian, long long count,
+                             long long intervals);
+
+// As many blocks as the handler for GPUs launches.
+extern "C" void run(const double* w, const double* known, double* outcomes, double* jacobian, long long count,
+                    long long intervals, long long groups, long long threads) {
+  const long long blocks = (count * groups + threads - 1) / threads;
+  for (long long i = 0; i < blocks * threads; ++i) {
+    blockIdx.x = i / threads, threadIdx.x = i % threads;
+    jaxscp_sweep(w, known, outcomes, jacobian, count, intervals);
+  }
+}
