@@ -16,7 +16,10 @@ from jaxscp.trajectory import Trajectory
 from jaxscp.types import Flag, Scalar
 
 TOLERANCE = 1e-10  # of the re-integration, relative and absolute
-MAX_STEPS = 256  # of the re-integration, an interval; memory for so many is set aside
+MAX_STEPS = (
+    2048  # of the re-integration, a flight; memory for an interval's share, or LEAST_STEPS, is set aside
+)
+LEAST_STEPS = 64
 OPTIMALITY = 0.3  # residual of the optimality conditions, which converged answers have near 0.01
 ANGLE = 1.75e-3  # rad (0.1 degree), that the end may miss the goal's attitude
 
@@ -146,7 +149,7 @@ def fly(problem: OptimalControlProblem, trajectory: Trajectory, samples: int) ->
             # Not SaveAt(ts=...), which checks the times by a call back into Python: such a program cannot be stored.
             saveat=SaveAt(dense=True),
             stepsize_controller=PIDController(rtol=TOLERANCE, atol=TOLERANCE),
-            max_steps=MAX_STEPS,
+            max_steps=max(MAX_STEPS // intervals, LEAST_STEPS),
             throw=False,
         )
         flown = jax.vmap(lambda share: jnp.asarray(solution.evaluate(share)))(shares)

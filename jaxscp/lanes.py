@@ -3,6 +3,7 @@
 ``jax.vmap`` of ``jax.lax.while_loop`` steps every lane until the last one ends. Of thousands of plans most need six
 subproblems and a few need sixty, so that nine tenths of that work is thrown away. Here a batch is stepped in rounds:
 the lanes that have not ended are gathered, stepped a tile at a time, and put back. What a lane computes is the same.
+A tile that they do not fill has lanes that have ended too: to step those costs least if the step sees that.
 """
 
 from collections.abc import Callable
@@ -20,7 +21,7 @@ State = TypeVar("State")
 # Lanes stepped at once: few, so that little work is wasted on those that have ended in a tile; but enough for the
 # device, which a smaller tile keeps busy no less long.
 TILE = {"cpu": 8}
-TILE_ELSEWHERE = 1024
+TILE_ELSEWHERE = 2048
 
 
 def while_loop(
@@ -171,21 +172,21 @@ def _in_rounds(unfinished, step, lanes: int, elsewhere: int, every, arrays, stat
     tile = min(lanes, TILE.get(jax.default_backend(), elsewhere))
     axes = jax.tree.map(lambda k: 0 if k else None, every)
 
-    def one_tile(i, order, states):
-        index = jax.lax.dynamic_slice(order, (i * tile,), (tile,))
+    def one_tile(i, order, going, states):
+        index, there = (jax.lax.dynamic_slice(v, (i * tile,), (tile,)) for v in (order, going))
         entries = lambda v, k: v[(index // k) % v.shape[0]] if k else v  # noqa: E731
         fixed = jax.tree.map(entries, arrays, every)
         new = jax.vmap(step, in_axes=(axes, 0))(fixed, jax.tree.map(lambda v: entries(v, 1), states))
-        return jax.tree.map(lambda v, part: v.at[index].set(part, mode="drop"), states, new)
+        to = jnp.where(there, index, lanes)  # out of bounds: never written
+        return jax.tree.map(lambda v, part: v.at[to].set(part, mode="drop"), states, new)
 
     def one_round(states):
         going = jax.vmap(unfinished)(states)
         order = jnp.argsort(~going, stable=True)
-        order = jnp.where(
-            going[order], order, lanes
-        )  # no lane: out of bounds, read as another and never written
-        order = jnp.pad(order, (0, -lanes % tile), constant_values=lanes)
+        # behind those that go on are those that have ended
+        order, going = (jnp.pad(v, (0, -lanes % tile), mode="edge") for v in (order, going[order]))
+        going &= jnp.arange(going.size) < lanes
         tiles = (jnp.sum(going) + tile - 1) // tile
-        return jax.lax.fori_loop(0, tiles, lambda i, s: one_tile(i, order, s), states)
+        return jax.lax.fori_loop(0, tiles, lambda i, s: one_tile(i, order, going, s), states)
 
     return jax.lax.while_loop(lambda s: jnp.any(jax.vmap(unfinished)(s)), one_round, states)

@@ -192,7 +192,8 @@ class NewtonSCP(eqx.Module):
         hessian, gradient = _model(problem, state, now, clipped, scale)
         program = lifted_program(problem, state.z, state.linear, hessian, gradient, self.virtual_weight)
         near = Near(jnp.zeros_like(program.gradient), state.prices, state.iterations > 0)
-        solution = self.conic(program, 0.0, near)
+        # a lane that has ended fills up a batch, and asks for nothing
+        solution = self.conic(program, jnp.where(self.terminate(state), jnp.inf, 0.0), near)
 
         multipliers = flight_multipliers(problem, state.linear, solution.multipliers)
         move = node_step(problem, solution.z)

@@ -139,9 +139,9 @@ class SCP(eqx.Module):
     def step(self, problem: OptimalControlProblem, state: SCPState) -> SCPState:
         """Solve one subproblem and take its answer as the next reference."""
         program, cost = self._program(problem, state.z, state.flow)
-        solution = self.conic(
-            program, sufficient_accuracy(state), Near(state.z, state.prices, state.iterations > 0)
-        )
+        # a lane that has ended fills up a batch, and asks for nothing
+        accuracy = jnp.where(self.terminate(state), jnp.inf, sufficient_accuracy(state))
+        solution = self.conic(program, accuracy, Near(state.z, state.prices, state.iterations > 0))
         good = usable(solution.status) & jnp.all(jnp.isfinite(solution.z))
         z = jnp.where(good, solution.z, state.z)
         flow = discretise(problem, z, self.substeps)

@@ -34,6 +34,7 @@ SHAPES = {
     "norm cost": {"nodes": 5, "variables": 6, "rows": 3, "cones": 2},
     "quadratic cost, no cones": {"nodes": 4, "cones": 0, "norm": False},
     "more rows than lanes": {"nodes": 2, "variables": 20, "rows": 2},
+    "a lane a row, and an odd column left": {"nodes": 3, "variables": 17, "rows": 2},
 }
 
 

@@ -67,6 +67,20 @@ def test_a_lane_that_has_ended_is_not_stepped_again():
     np.testing.assert_array_equal(run(jnp.array([0, 1, 17, 3]))[1], 1.0)
 
 
+def test_a_tile_is_filled_up_with_lanes_that_have_ended():
+    stepped = []
+
+    def step(_, left):
+        jax.debug.callback(lambda left: stepped.append(int(left)), left)
+        return left - 1
+
+    run = jax.vmap(lambda times: lanes.while_loop(lambda left: left > 0, step, None, times))
+    full = TILE["cpu"]
+    jax.block_until_ready(run(jnp.array([1] * (full - 3) + [3] * 3)))
+    jax.effects_barrier()
+    assert sorted(stepped) == [0] * 2 * (full - 3) + [1] * full + [2] * 3 + [3] * 3
+
+
 @pytest.mark.parametrize("batched", [False, True])
 def test_what_is_not_needed_is_left_as_it_is(batched):
     act = lambda fixed, v: v + fixed  # noqa: E731

@@ -3,9 +3,9 @@
     python -m benchmarks.speed [--json] [--check] [--only PART ...] [--gpu] [--nodes 30] [--repeats 7]
                                [--lanes 4096] [--total 65536]
 
-Parts: ``profile``, ``rivals`` (extra ``benchmarks``), ``scaling``, ``starts``, ``levels``, ``batches``. All but the
-last by default; ``--gpu`` is the last alone. ``--check`` compares the ratios with benchmarks/baseline.json and ends
-with 1 where one has become worse by more than a factor of 1.5.
+Parts: ``profile``, ``rivals`` (extra ``benchmarks``), ``scaling``, ``starts``, ``levels``, ``alone``, ``batches``. All
+but the last two by default; ``--gpu`` is these two. ``--check`` compares the ratios with benchmarks/baseline.json and
+ends with 1 where one has become worse by more than a factor of 1.5.
 """
 
 import argparse
@@ -20,7 +20,7 @@ import jax
 jax.config.update("jax_enable_x64", True)
 
 PARTS = ("profile", "rivals", "scaling", "starts", "levels")
-BATCHES = "batches"
+FOR_ACCELERATORS = ("alone", "batches")
 
 
 def measure(part: str, wanted: argparse.Namespace, echo: Callable[[str], None]) -> dict[str, Any]:
@@ -46,6 +46,10 @@ def measure(part: str, wanted: argparse.Namespace, echo: Callable[[str], None]) 
             from benchmarks.speed import levels
 
             return levels.run(echo, wanted.nodes, wanted.repeats)
+        case "alone":
+            from benchmarks.speed import alone
+
+            return alone.run(echo, wanted.nodes, wanted.lanes)
         case _:
             from benchmarks.speed import batches
 
@@ -57,8 +61,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--json", action="store_true", help="print one JSON object, the tables on stderr")
     parser.add_argument("--check", action="store_true", help="compare ratios with benchmarks/baseline.json")
-    parser.add_argument("--only", nargs="+", choices=(*PARTS, BATCHES), help="these parts alone")
-    parser.add_argument("--gpu", action="store_true", help="the part for accelerators: batches")
+    parser.add_argument("--only", nargs="+", choices=(*PARTS, *FOR_ACCELERATORS), help="these parts alone")
+    parser.add_argument("--gpu", action="store_true", help="the parts for accelerators: alone and batches")
     parser.add_argument("--nodes", type=int, default=30)
     parser.add_argument("--repeats", type=int, default=7, help="of a plan that is compared with a rival's")
     parser.add_argument("--lanes", type=int, default=4096, help="plans at once")
@@ -71,7 +75,7 @@ def main() -> int:
         print(line, file=sys.stderr if wanted.json else sys.stdout, flush=True)
 
     found: dict[str, Any] = {"machine": platform.machine(), "device": jax.devices()[0].device_kind}
-    for part in wanted.only or ([BATCHES] if wanted.gpu else PARTS):
+    for part in wanted.only or (FOR_ACCELERATORS if wanted.gpu else PARTS):
         found |= measure(part, wanted, echo)
     worse = []
     if wanted.check:

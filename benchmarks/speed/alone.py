@@ -1,0 +1,70 @@
+"""The interior point alone, on subproblems of real plans: how many of them, and Newton steps, a device makes a second.
+
+The subproblems are recorded on the host's CPU, from flights of ``batches``; then as many of them at once as are asked
+for are solved on JAX's default device, each as accurately and from as near as in its plan.
+"""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from benchmarks.speed.batches import REPEATS, instances
+from benchmarks.speed.timing import elapsed
+from jaxscp import SCP, Planner
+from jaxscp.conic.equilibrate import equilibrate
+from jaxscp.conic.program import Near
+from jaxscp.scp import sufficient_accuracy
+
+FLIGHTS = 64  # distinct ones; more lanes have the same again
+SUBPROBLEMS = 5  # of a plan
+
+
+def run(echo: Callable[[str], None], nodes: int, lanes: int) -> dict[str, Any]:
+    """The first subproblems of a plan, one after another, and all of them together."""
+    method = SCP()
+    solve = jax.jit(jax.vmap(method.conic.iterate))
+    device = jax.devices()[0]
+    rows = []
+    for k, given in enumerate(recorded(method, nodes, min(lanes, FLIGHTS))):
+        batch = jax.device_put(jax.tree.map(lambda v: _repeated(v, lanes), given), device)
+        ended = jax.block_until_ready(solve(*batch))
+        seconds = min(elapsed(lambda batch=batch: solve(*batch)) for _ in range(REPEATS))
+        rows.append({"seconds": seconds, "steps": int(np.sum(ended.iterations)), "lanes": lanes})
+        echo(_line(f"{device.device_kind}, {lanes} at once, subproblem {k + 1}", rows[-1:]))
+    echo(_line("all", rows))
+    return {"interior_point_alone": rows}
+
+
+def recorded(method: SCP, nodes: int, flights: int) -> Iterator[Any]:
+    """What the interior point is given of the subproblems of as many plans: equilibrated programs with their scales,
+    accuracies, and points that are thought near; on the host."""
+    planner = Planner(nodes=nodes, method=method)
+
+    def given(problem, state):
+        program, _ = method._program(problem, state.z, state.flow)
+        scaled, scales = equilibrate(program, method.conic.equilibration)
+        near = scales.apply(Near(state.z, state.prices, state.iterations > 0))
+        return scaled, scales, jnp.maximum(method.conic.tolerance, sufficient_accuracy(state)), near
+
+    with jax.default_device(jax.devices("cpu")[0]):
+        problem, z, _ = jax.jit(jax.vmap(planner.setup))(instances(jax.random.key(7), flights))
+        state = jax.jit(jax.vmap(method.init))(problem, z)
+        step = jax.jit(jax.vmap(method.step))
+        for _ in range(SUBPROBLEMS):
+            yield jax.tree.map(np.asarray, jax.jit(jax.vmap(given))(problem, state))
+            state = step(problem, state)
+
+
+def _repeated(v: np.ndarray, lanes: int) -> np.ndarray:
+    return np.resize(v, (lanes, *v.shape[1:]))  # runs through the flights again and again
+
+
+def _line(name: str, rows: list[dict[str, Any]]) -> str:
+    seconds, steps, lanes = (sum(row[key] for row in rows) for key in ("seconds", "steps", "lanes"))
+    return (
+        f"{name}: {1e3 * seconds:.1f} ms, {steps / lanes:.1f} Newton steps each, {steps / seconds:.0f} of them "
+        f"and {lanes / seconds:.0f} subproblems a second"
+    )
