@@ -47,7 +47,17 @@ SHAPES = {
 }
 
 
-@pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
+# of which others say the same with more to it
+SLOW_SHAPES = ("links fill a pack", "three packs")
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        pytest.param(shape, id=name, marks=[pytest.mark.slow] if name in SLOW_SHAPES else [])
+        for name, shape in SHAPES.items()
+    ],
+)
 def test_steps_are_the_same_to_rounding(shape):
     program = random_program(1, **shape)
     ours, jaxs = (iterate(InteriorPoint(max_iterations=STEPS, compiled=c), program) for c in (True, False))

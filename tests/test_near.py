@@ -98,7 +98,10 @@ def test_lanes_start_where_their_own_solution_is_thought_to_be():
         assert int(together.iterations[lane]) == int(alone.iterations)
 
 
-@pytest.mark.parametrize("norm", [True, False], ids=["norm cost", "quadratic cost"])
+@pytest.mark.parametrize(
+    "norm",
+    [pytest.param(True, id="norm cost"), pytest.param(False, id="quadratic cost", marks=pytest.mark.slow)],
+)
 def test_the_loop_starts_as_jax_does(norm):
     program = random_program(4, norm=norm)
     solution = jax.jit(InteriorPoint().__call__)(moved(program, 0.1))

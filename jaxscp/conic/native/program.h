@@ -51,8 +51,10 @@ class Matrix {
     share(rows * columns, [&](int at) {
       const int i = at / columns, j = at % columns;
       bool filled = false;
-#pragma unroll 8
-      for (int k = 0; k < nodes; ++k) filled |= from(k, i, j) != 0.0;  // none waits for the one before
+      for (int first = 0; first < nodes && !filled; first += kAtOnce)
+#pragma unroll
+        for (int k = first; k < first + kAtOnce; ++k)  // none of which waits for the one before
+          if (k < nodes) filled |= from(k, i, j) != 0.0;
       place_[at] = filled ? 0 : kNone;
     });
     list(far_.row_start, rows, columns, [&](int i, int j) { return i * columns + j; },
@@ -126,6 +128,7 @@ class Matrix {
 
  private:
   static constexpr int kNone = -1;
+  static constexpr int kAtOnce = 8;  // numbers that are read together
 
   // Where the lines' entries begin among all; and of each its row, with its column or its number in the row: in one
   // integer, so that there is room for them near by.
