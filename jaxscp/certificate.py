@@ -16,10 +16,8 @@ from jaxscp.trajectory import Trajectory
 from jaxscp.types import Flag, Scalar
 
 TOLERANCE = 1e-10  # of the re-integration, relative and absolute
-MAX_STEPS = (
-    2048  # of the re-integration, a flight; memory for an interval's share, or LEAST_STEPS, is set aside
-)
-LEAST_STEPS = 64
+# Steps of the re-integration that a flight may take; memory is set aside for an interval's share, or for so many.
+MAX_STEPS, LEAST_STEPS = 2048, 64
 OPTIMALITY = 0.3  # residual of the optimality conditions, which converged answers have near 0.01
 ANGLE = 1.75e-3  # rad (0.1 degree), that the end may miss the goal's attitude
 

@@ -172,21 +172,22 @@ def _in_rounds(unfinished, step, lanes: int, elsewhere: int, every, arrays, stat
     tile = min(lanes, TILE.get(jax.default_backend(), elsewhere))
     axes = jax.tree.map(lambda k: 0 if k else None, every)
 
-    def one_tile(i, order, going, states):
-        index, there = (jax.lax.dynamic_slice(v, (i * tile,), (tile,)) for v in (order, going))
+    def one_tile(i, order, count, states):
+        index = jax.lax.dynamic_slice(order, (i * tile,), (tile,))
         entries = lambda v, k: v[(index // k) % v.shape[0]] if k else v  # noqa: E731
         fixed = jax.tree.map(entries, arrays, every)
         new = jax.vmap(step, in_axes=(axes, 0))(fixed, jax.tree.map(lambda v: entries(v, 1), states))
-        to = jnp.where(there, index, lanes)  # out of bounds: never written
+        goes_on = i * tile + jnp.arange(tile) < count
+        to = jnp.where(goes_on, index, lanes)  # out of bounds: never written
         return jax.tree.map(lambda v, part: v.at[to].set(part, mode="drop"), states, new)
 
     def one_round(states):
         going = jax.vmap(unfinished)(states)
-        order = jnp.argsort(~going, stable=True)
         # behind those that go on are those that have ended
-        order, going = (jnp.pad(v, (0, -lanes % tile), mode="edge") for v in (order, going[order]))
-        going &= jnp.arange(going.size) < lanes
-        tiles = (jnp.sum(going) + tile - 1) // tile
-        return jax.lax.fori_loop(0, tiles, lambda i, s: one_tile(i, order, going, s), states)
+        order = jnp.pad(jnp.argsort(~going, stable=True), (0, -lanes % tile), mode="edge")
+        count = jnp.sum(going)
+        return jax.lax.fori_loop(
+            0, (count + tile - 1) // tile, lambda i, s: one_tile(i, order, count, s), states
+        )
 
     return jax.lax.while_loop(lambda s: jnp.any(jax.vmap(unfinished)(s)), one_round, states)

@@ -4,7 +4,7 @@ The subproblems are recorded on the host's CPU, from flights of ``batches``; the
 for are solved on JAX's default device, each as accurately and from as near as in its plan.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -16,6 +16,7 @@ from benchmarks.speed.timing import elapsed
 from jaxscp import SCP, Planner
 from jaxscp.conic.equilibrate import equilibrate
 from jaxscp.conic.program import Near
+from jaxscp.convexify import convexify
 from jaxscp.scp import sufficient_accuracy
 
 FLIGHTS = 64  # distinct ones; more lanes have the same again
@@ -38,13 +39,13 @@ def run(echo: Callable[[str], None], nodes: int, lanes: int) -> dict[str, Any]:
     return {"interior_point_alone": rows}
 
 
-def recorded(method: SCP, nodes: int, flights: int) -> Iterator[Any]:
+def recorded(method: SCP, nodes: int, flights: int) -> list[Any]:
     """What the interior point is given of the subproblems of as many plans: equilibrated programs with their scales,
     accuracies, and points that are thought near; on the host."""
     planner = Planner(nodes=nodes, method=method)
 
     def given(problem, state):
-        program, _ = method._program(problem, state.z, state.flow)
+        program, _ = convexify(problem, state.z, state.flow, method.trust_region, method.virtual_weight)
         scaled, scales = equilibrate(program, method.conic.equilibration)
         near = scales.apply(Near(state.z, state.prices, state.iterations > 0))
         return scaled, scales, jnp.maximum(method.conic.tolerance, sufficient_accuracy(state)), near
@@ -52,10 +53,12 @@ def recorded(method: SCP, nodes: int, flights: int) -> Iterator[Any]:
     with jax.default_device(jax.devices("cpu")[0]):
         problem, z, _ = jax.jit(jax.vmap(planner.setup))(instances(jax.random.key(7), flights))
         state = jax.jit(jax.vmap(method.init))(problem, z)
-        step = jax.jit(jax.vmap(method.step))
+        record, step = (jax.jit(jax.vmap(function)) for function in (given, method.step))
+        found = []
         for _ in range(SUBPROBLEMS):
-            yield jax.tree.map(np.asarray, jax.jit(jax.vmap(given))(problem, state))
+            found.append(jax.tree.map(np.asarray, record(problem, state)))
             state = step(problem, state)
+    return found
 
 
 def _repeated(v: np.ndarray, lanes: int) -> np.ndarray:

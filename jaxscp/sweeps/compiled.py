@@ -51,7 +51,7 @@ def record(intervals: Intervals, inputs: int, given: Given, order: int) -> Funct
         return functions.record(function, points * block.together, [given.keep[0]], order)
 
     return Functions(
-        functions.record(lambda a: intervals.rate(a[:n], a[n:]), argument, (), order),
+        functions.record_slopes(intervals, inputs, order),
         functions.record(
             lambda a, *data: watch.at_point(a[:n], a[n:], jax.tree.unflatten(point_tree, data)),
             argument,

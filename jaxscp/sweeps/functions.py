@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from jaxscp import libraries
 from jaxscp.sweeps import tape, tracing
+from jaxscp.sweeps.intervals import Intervals
 from jaxscp.sweeps.symbols import Number
 
 
@@ -64,6 +65,16 @@ def record(function: Callable[..., Array], arguments: int, data: Sequence[Array]
     parameters = traced.parameters(first.parameters), traced.parameters(second.parameters)
     data_size = inputs - arguments - values
     return Function(arguments, values, data_size, first, second, parameters, in_jacobian, in_hessian)
+
+
+def record_slopes(intervals: Intervals, inputs: int, order: int) -> Function:
+    """The rate of intervals of so many inputs, as a function of a state and its controls.
+
+    Raises:
+        CannotTrace: if it is not arithmetic alone.
+    """
+    n = intervals.states
+    return record(lambda a: intervals.rate(a[:n], a[n:]), n + intervals.controls(inputs), (), order)
 
 
 _NOTHING = np.zeros(0, object), np.zeros((0, 0), object), np.zeros((0, 0), object)

@@ -45,10 +45,8 @@ def record(intervals: Intervals, inputs: int, columns: int = COLUMNS) -> Kernel:
     Raises:
         CannotTrace: if the slopes are not arithmetic alone.
     """
-    n = intervals.states
-    argument = n + intervals.controls(inputs)
-    slopes = functions.record(lambda a: intervals.rate(a[:n], a[n:]), argument, (), order=1)
-    text = source.kernel(slopes, n, intervals.method, intervals.steps, columns)
+    slopes = functions.record_slopes(intervals, inputs, order=1)
+    text = source.kernel(slopes, intervals.states, intervals.method, intervals.steps, columns)
     return Kernel(text, source.groups(inputs, columns), _known(slopes))
 
 

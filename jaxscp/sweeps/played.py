@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxscp.sweeps import tape
-from jaxscp.sweeps.functions import record
+from jaxscp.sweeps.functions import record_slopes
 from jaxscp.sweeps.intervals import Intervals, Outcome
 
 _UNARY: dict[str, Callable[..., Array]] = {
@@ -62,7 +62,7 @@ def linear(intervals: Intervals, w: Float[Array, "intervals inputs"]) -> tuple[O
     """
     n, inputs = intervals.states, w.shape[1]
     m, size = intervals.controls(inputs), 1.0 / intervals.steps
-    slopes = record(lambda a: intervals.rate(a[:n], a[n:]), n + m, (), order=1)
+    slopes = record_slopes(intervals, inputs, order=1)
     method = intervals.method
     columns = w.T
     directions = jnp.eye(inputs, dtype=w.dtype)[:, :, None]

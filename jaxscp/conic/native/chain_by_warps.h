@@ -68,8 +68,10 @@ class Chain {
         products.each_of_inverse([&](int i, int j, double v) { inverse[j * m + i] = v; });
         __syncwarp();
       }
-      for (int q = 0; q < kLower / kTile; ++q)
-        put_pair(fetched(end, 0) + q * kTile + 2 * lane_of_warp(), update[q][0], update[q][1]);
+      each_lower_tile([&](int tile, int, int) {
+        const double(&sums)[2] = update[tile / kTile];
+        put_pair(fetched(end, 0) + tile + 2 * lane_of_warp(), sums[0], sums[1]);
+      });
     });
     share_among_teams(1, [&](int) {
       double *tile = tile_of_warp(), *inverse = &inverse_[kMiddle * kBlockSize];
@@ -117,7 +119,6 @@ class Chain {
 
  private:
   static constexpr int m = ProgramLayout::m, kLinks = ProgramLayout::nodes + 1, kMiddle = kLinks / 2;
-  static constexpr int kFetched = kAhead / kBlockSize;  // blocks in use or on their way
   static constexpr int kTurns = 3;                      // parts of a sum: none waits for the one before
 
   // From an end, 0 or 1: how many blocks, and which is the t-th.
@@ -130,14 +131,11 @@ class Chain {
   // By a team, a symmetric block by columns, of whose lower tile at ``at`` a lane has value(at, e), e < 2.
   template <typename Value>
   static void assemble(double* columns, Value value) {
-    const int row = lane_of_warp() / 4, column = lane_of_warp() % 4 * 2;
+    each_lower_tile([&](int tile, int i, int j) {
 #pragma unroll
-    for (int s = 0; s < kAcross; ++s)
-#pragma unroll
-      for (int t = 0; t <= s; ++t)
-#pragma unroll
-        for (int e = 0; e < 2; ++e)
-          if (int i = 8 * s + row, j = 8 * t + column + e; i < m && j <= i) columns[j * m + i] = value(lower_tile(s, t), e);
+      for (int e = 0; e < 2; ++e)
+        if (i < m && j + e <= i) columns[(j + e) * m + i] = value(tile, e);
+    });
     __syncwarp();
   }
   double& solution(int l, int s) const { return solution_.of(l, m * kSides)[lane_of_warp() * kSides + s]; }

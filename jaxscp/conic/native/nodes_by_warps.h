@@ -42,8 +42,8 @@ class Nodes {
       auto begin_link = [&] { in_team(m, [&](int i) { of_link[i] = own(p, i), of_link[m + i] = diagonal(p, i); }); };
       if (p == nodes) {  // a link, but no node
         begin_link();
-        each_lower_tile([&](int at, int i, int j) {
-          put_pair(chain.own(p) + at, compliance(i, j), compliance(i, j + 1));
+        each_lower_tile([&](int tile, int i, int j) {
+          put_pair(chain.own(p) + tile + 2 * lane_of_warp(), compliance(i, j), compliance(i, j + 1));
         });
         return;
       }
@@ -121,16 +121,6 @@ class Nodes {
 
   // What ties node p to its link, and then to the next: the numbers of both matrices.
   double* ties(int p) const { return &ties_[p * kOfNode]; }
-
-  // act(at, i, j) for two neighbours of each lower tile, of which the first is entry (i, j).
-  template <typename Act>
-  static void each_lower_tile(Act act) {
-    const int row = lane_of_warp() / 4, column = lane_of_warp() % 4 * 2;
-#pragma unroll
-    for (int s = 0; s < kAcross; ++s)
-#pragma unroll
-      for (int t = 0; t <= s; ++t) act(lower_tile(s, t) + 2 * lane_of_warp(), 8 * s + row, 8 * t + column);
-  }
 
   // What the elimination of node p leaves in its links: of few rows of K at a time, as registers are few.
   template <typename Compliance>

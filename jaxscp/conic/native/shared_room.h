@@ -27,8 +27,20 @@ constexpr int lower_tile(int s, int t) { return (s * (s + 1) / 2 + t) * kTile; }
 constexpr int square_tile(int s, int t) { return (s * kAcross + t) * kTile; }
 constexpr int kOfLink = 2 * kLower + kSquare;
 
+// By a team, act(tile, i, j) for each lower tile, which begins at ``tile``: i and j are the lane's row, and the first of
+// its two columns.
+template <typename Act>
+inline void each_lower_tile(Act act) {
+  const int row = lane_of_warp() / 4, column = lane_of_warp() % 4 * 2;
+#pragma unroll
+  for (int s = 0; s < kAcross; ++s)
+#pragma unroll
+    for (int t = 0; t <= s; ++t) act(lower_tile(s, t), 8 * s + row, 8 * t + column);
+}
+
 constexpr int kBlockSize = even(kLayout.m * kLayout.m);  // of a block by columns
-constexpr int kAhead = larger_of(2 * kOfLink, 6 * kBlockSize);  // of an end of the chain
+constexpr int kFetched = 6;  // blocks of the chain that are in use or on their way
+constexpr int kAhead = larger_of(2 * kOfLink, kFetched * kBlockSize);  // of an end of the chain
 // Both ends are eliminated in tiles of two warps; what they fetch is where other warps have theirs.
 constexpr int kSharedRoom = larger_of(larger_of(kWarps, 2) * kTileSize, 2 * (kTileSize + kAhead));
 
