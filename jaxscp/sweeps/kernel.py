@@ -5,6 +5,7 @@ the threads from an interval's begin to its end.
 """
 
 import functools
+import warnings
 from typing import NamedTuple
 
 import jax
@@ -35,8 +36,9 @@ class Kernel(NamedTuple):
 
 def serves(intervals: Intervals, w: Array) -> bool:
     """Whether there may be a kernel for these intervals, on the GPU that is JAX's default device."""
-    here = libraries.in_float64(w) and cuda.launches(libraries.SWEEP) and cuda.compiler() is not None
-    return here and intervals.watch.nothing
+    here = cuda.capability()
+    compiles = here is not None and cuda.launches(libraries.SWEEP) and cuda.compiles_for(here)
+    return compiles and libraries.in_float64(w) and intervals.watch.nothing
 
 
 def record(intervals: Intervals, inputs: int, columns: int = COLUMNS) -> Kernel:
@@ -65,7 +67,11 @@ def _known(slopes: Function) -> Float[Array, "numbers"]:
 @functools.cache
 def image(text: str, capability: str) -> bytes | None:
     """A kernel as machine code of the GPU; None and a warning if it does not compile."""
-    return cuda.machine_code(text, capability, "the sweep")
+    try:
+        return cuda.machine_code(text, capability)
+    except RuntimeError as error:
+        warnings.warn(f"{error}; the sweep runs as JAX", stacklevel=2)
+        return None
 
 
 def sweep(

@@ -26,6 +26,7 @@ import math
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.custom_batching import custom_vmap
 
 from jaxscp import libraries
 from jaxscp.conic import kkt
@@ -78,8 +79,26 @@ def call(
 def call_on_gpu(
     program: StagedProgram, cost: Scalar, tolerance: Scalar, near: Near | None = None, **settings: float | int
 ):
-    """Solve an equilibrated program on the GPU that is JAX's default device; see ``call``."""
-    return _call(gpu.TARGET, program, cost, tolerance, near, settings | gpu.attributes(program))
+    """Solve an equilibrated program on the GPU that is JAX's default device; see ``call``.
+
+    By how many there are under ``vmap``, many threads solve one together or few do.
+    """
+
+    def of(lanes: int):
+        attributes = settings | gpu.attributes(program, lanes)
+        return lambda arguments: _call(gpu.TARGET, *arguments, attributes)
+
+    @custom_vmap
+    def solve(arguments):
+        return of(1)(arguments)
+
+    @solve.def_vmap
+    def _(lanes, batched, arguments):
+        axes = jax.tree.map(lambda own: 0 if own else None, batched[0])
+        found = jax.vmap(of(lanes), in_axes=(axes,), axis_size=lanes)(arguments)
+        return found, jax.tree.map(lambda _: True, found)
+
+    return solve((program, cost, tolerance, near))
 
 
 def _call(
