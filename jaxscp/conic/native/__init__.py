@@ -21,6 +21,7 @@ The libraries are compiled when the package is installed, if there is a C++ comp
 and in float32, the interior point runs as JAX.
 """
 
+import functools
 import math
 
 import jax
@@ -84,18 +85,18 @@ def call_on_gpu(
     By how many there are under ``vmap``, many threads solve one together or few do.
     """
 
-    def of(lanes: int):
-        attributes = settings | gpu.attributes(program, lanes)
-        return lambda arguments: _call(gpu.TARGET, *arguments, attributes)
+    def of(lanes: int, arguments):
+        program, cost, tolerance, near = arguments
+        return _call(gpu.TARGET, program, cost, tolerance, near, settings | gpu.attributes(program, lanes))
 
     @custom_vmap
     def solve(arguments):
-        return of(1)(arguments)
+        return of(1, arguments)
 
     @solve.def_vmap
     def _(lanes, batched, arguments):
         axes = jax.tree.map(lambda own: 0 if own else None, batched[0])
-        found = jax.vmap(of(lanes), in_axes=(axes,), axis_size=lanes)(arguments)
+        found = jax.vmap(functools.partial(of, lanes), in_axes=(axes,), axis_size=lanes)(arguments)
         return found, jax.tree.map(lambda _: True, found)
 
     return solve((program, cost, tolerance, near))
