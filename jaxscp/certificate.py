@@ -1,7 +1,7 @@
 """An independent judge of an answer: it shares no code with the solver's discretisation.
 
 The planned controls are flown again, from the initial state to the end without correction, by an adaptive
-eighth-order method (diffrax's Dopri8) at tight tolerance. The constraints are then evaluated on that flight,
+eighth-order method (diffrax's Dopri8; ``flown``) at tight tolerance. The constraints are then evaluated on that flight,
 densely between the nodes, in their own units.
 """
 
@@ -10,14 +10,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxscp import flown
 from jaxscp.constraints import DISTANCE, AcrossIntervals, AtNodes, Constraint, NonNegative, SecondOrder
 from jaxscp.problem import OptimalControlProblem
 from jaxscp.trajectory import Trajectory
 from jaxscp.types import Flag, Scalar
 
-TOLERANCE = 1e-10  # of the re-integration, relative and absolute
-# Steps of the re-integration that a flight may take; memory is set aside for an interval's share, or for so many.
-MAX_STEPS, LEAST_STEPS = 2048, 64
 OPTIMALITY = 0.3  # residual of the optimality conditions, which converged answers have near 0.01
 ANGLE = 1.75e-3  # rad (0.1 degree), that the end may miss the goal's attitude
 
@@ -123,40 +121,9 @@ def _angle(missed: Float[Array, "_"]) -> Scalar:
 
 def fly(problem: OptimalControlProblem, trajectory: Trajectory, samples: int) -> Flight:
     """Integrate the planned controls from the first state, interval after interval."""
-    # Here, since it is slow to import, and a planner that was compiled before needs it no more.
-    from diffrax import Dopri8, ODETerm, PIDController, SaveAt, diffeqsolve, is_successful
-
     intervals = trajectory.time.shape[0] - 1
-    width = 1.0 / intervals
-    shares = jnp.linspace(0.0, 1.0, samples)
-
-    def rate(share, state, ends):
-        (u0, u1), (s0, s1) = ends
-        dilation = s0 + share * (s1 - s0)
-        return width * dilation * problem.dynamics(state, u0 + share * (u1 - u0))
-
-    def interval(state, ends):
-        solution = diffeqsolve(
-            ODETerm(rate),
-            Dopri8(scan_kind="lax"),
-            0.0,
-            1.0,
-            0.25,
-            state,
-            args=ends,
-            # Not SaveAt(ts=...), which checks the times by a call back into Python: such a program cannot be stored.
-            saveat=SaveAt(dense=True),
-            stepsize_controller=PIDController(rtol=TOLERANCE, atol=TOLERANCE),
-            max_steps=max(MAX_STEPS // intervals, LEAST_STEPS),
-            throw=False,
-        )
-        flown = jax.vmap(lambda share: jnp.asarray(solution.evaluate(share)))(shares)
-        states = jnp.where(is_successful(solution.result), flown, jnp.inf)
-        return states[-1], states
-
-    ends = jax.tree.map(lambda v: (v[:-1], v[1:]), (trajectory.control, trajectory.dilation))
-    ends = ((ends[0][0], ends[0][1]), (ends[1][0], ends[1][1]))
-    _, states = jax.lax.scan(interval, trajectory.state[0], ends)
+    width, shares = 1.0 / intervals, jnp.linspace(0.0, 1.0, samples)
+    states = flown.states(problem.dynamics, trajectory, samples)
     blend = shares[None, :, None]
     control = (1.0 - blend) * trajectory.control[:-1, None] + blend * trajectory.control[1:, None]
     s0, s1 = trajectory.dilation[:-1, None], trajectory.dilation[1:, None]

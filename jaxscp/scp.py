@@ -24,7 +24,7 @@ from jaxscp.status import Status, StatusCode, usable
 from jaxscp.types import Count, Flag, Scalar
 
 KEPT = 0.99  # of virtual control, from a subproblem to the next, where it will not vanish
-COARSEST = 1e-4  # relative accuracy of the first subproblems
+COARSEST = 1e-3  # relative accuracy of the first subproblems
 
 
 class Answer(eqx.Module):
@@ -99,7 +99,7 @@ class SCP(eqx.Module):
     tolerance_step: float = 1e-3
     max_iterations: int = eqx.field(default=50, static=True)
     substeps: int = eqx.field(default=10, static=True)
-    conic: ConicSolver = InteriorPoint(tolerance=1e-7)
+    conic: ConicSolver = InteriorPoint(tolerance=1e-6)
 
     @property
     def published(self) -> bool:

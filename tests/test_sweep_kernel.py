@@ -1,51 +1,25 @@
 """The GPU's kernel of the pass through intervals without a GPU: run on a CPU thread by thread, and compiled by NVIDIA's
 compiler."""
 
-import ctypes
-import shutil
-import subprocess
-from pathlib import Path
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxscp import libraries, runge_kutta, sweeps
+from jaxscp import runge_kutta, sweeps
 from jaxscp.discretise import METHOD, interval_inputs
 from jaxscp.libraries import cuda
 from jaxscp.sweeps import Intervals, Watch, in_jax, kernel, without_data
 from tests.flights import random_nodes, short_problem
+from tests.kernels import compile_here, handler, needs_compiler, needs_nvidia
 from tests.test_sweeps import RATES, Everything, Watched, assert_same, case
-
-HERE = Path(__file__).parent
-COMPILER = shutil.which("g++")
-needs_compiler = pytest.mark.skipif(COMPILER is None, reason="no g++ to compile the kernel for this machine")
-needs_nvidia = pytest.mark.skipif(
-    cuda.compiler() is None, reason="needs NVIDIA's run-time compiler (extra cuda)"
-)
-
-
-def compile_here(source, library, *options):
-    headers = ["-isystem", jax.ffi.include_dir(), f"-I{HERE}"]
-    flags = ["-std=c++20", "-O0", "-fPIC", "-w", "-shared", *options]
-    subprocess.run([COMPILER, *flags, *headers, str(source), "-o", str(library)], check=True)
-
-
-@pytest.fixture(scope="module")
-def handler(tmp_path_factory):
-    """What calls the kernel on a CPU."""
-    library = tmp_path_factory.mktemp("handler") / "handler.so"
-    compile_here(HERE / "sweep_on_a_cpu.cc", library)
-    name = "jaxscp_test_sweep"
-    assert libraries.register(ctypes.CDLL(str(library)), kernel.TARGET, target=name)
-    return name
 
 
 @pytest.fixture
-def emulated(handler, tmp_path, monkeypatch):
+def emulated(tmp_path, monkeypatch):
     """The pass by the kernel of some intervals, with so many columns a thread."""
+    monkeypatch.setattr(kernel, "TARGET", handler())
 
     def passed(columns):
         def linear(intervals, w, _):
@@ -57,7 +31,6 @@ def emulated(handler, tmp_path, monkeypatch):
 
         return linear
 
-    monkeypatch.setattr(kernel, "TARGET", handler)
     return passed
 
 

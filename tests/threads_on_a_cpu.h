@@ -1,9 +1,11 @@
-// A GPU's threads on a CPU, one after another, for the kernel of the pass through intervals: none waits for another.
+// A GPU's threads on a CPU, one after another, for kernels that are written from tapes: none waits for another.
 #pragma once
 
 #include <cmath>
 
 #define __global__
+#define __constant__ static const
+#define __shared__ static
 #define __launch_bounds__(threads)
 
 struct Index {
@@ -14,7 +16,7 @@ static Index threadIdx, blockIdx;
 static double __ldg(const double* at) { return *at; }
 using std::cos, std::exp, std::fabs, std::fma, std::log, std::sin, std::sqrt, std::tanh;
 
-extern "C" void jaxscp_sweep(const double* w, const double* known, double* outcomes, double* jacobian, long long count,
+extern "C" void jaxscp_kernel(const double* w, const double* known, double* outcomes, double* jacobian, long long count,
                              long long intervals);
 
 // As many blocks as the handler for GPUs launches.
@@ -23,6 +25,6 @@ extern "C" void run(const double* w, const double* known, double* outcomes, doub
   const long long blocks = (count * groups + threads - 1) / threads;
   for (long long i = 0; i < blocks * threads; ++i) {
     blockIdx.x = i / threads, threadIdx.x = i % threads;
-    jaxscp_sweep(w, known, outcomes, jacobian, count, intervals);
+    jaxscp_kernel(w, known, outcomes, jacobian, count, intervals);
   }
 }

@@ -6,6 +6,7 @@ the threads from an interval's begin to its end.
 
 import functools
 import warnings
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -18,7 +19,7 @@ from jaxscp.libraries import cuda
 from jaxscp.sweeps import functions, played
 from jaxscp.sweeps.functions import Function
 from jaxscp.sweeps.intervals import Intervals, Outcome
-from jaxscp.sweeps.native import source
+from jaxscp.sweeps.native import source, statements
 
 TARGET = libraries.SWEEP.on_gpu
 COLUMNS = 2  # of the tangent, that a thread carries
@@ -49,13 +50,13 @@ def record(intervals: Intervals, inputs: int, columns: int = COLUMNS) -> Kernel:
     """
     slopes = functions.record_slopes(intervals, inputs, order=1)
     text = source.kernel(slopes, intervals.states, intervals.method, intervals.steps, columns)
-    return Kernel(text, source.groups(inputs, columns), _known(slopes))
+    return Kernel(text, source.groups(inputs, columns), known_of(slopes))
 
 
-def _known(slopes: Function) -> Float[Array, "numbers"]:
-    """What the kernel reads of a flight, in its order."""
+def known_of(slopes: Function) -> Float[Array, "numbers"]:
+    """What a kernel reads of a flight, in its order."""
     inputs = slopes.arguments + slopes.values
-    places = source.known(slopes.first, inputs)
+    places = statements.known(slopes.first, inputs)
     once = slopes.first._replace(
         operations=slopes.first.operations[: slopes.first.once], outputs=np.array(places, int)
     )
@@ -80,14 +81,27 @@ def sweep(
     """The outcomes and their Jacobian, by a kernel for these intervals."""
     count, inputs = w.shape
     n = intervals.states
-    call = jax.ffi.ffi_call(
-        TARGET,
-        [jax.ShapeDtypeStruct((count, *shape), w.dtype) for shape in ((n + 1,), (n + 1, inputs))],
-        vmap_method="broadcast_all",
-    )
-    numbers = {"groups": np.int64(kernel.groups), "threads": np.int64(source.THREADS)}
-    end, jacobian = call(w, kernel.known, **numbers, **cuda.attributes(machine_code))
+    shapes = (count, n + 1), (count, n + 1, inputs)
+    end, jacobian = launched(machine_code, w, kernel.known, shapes, kernel.groups, source.THREADS)
     return (
         Outcome(end[:, :n], end[:, n], (), jnp.zeros((count, 0))),
         Outcome(jacobian[:, :n], jacobian[:, n], (), jnp.zeros((count, 0, inputs))),
     )
+
+
+def launched(
+    machine_code: bytes,
+    w: Float[Array, "many inputs"],
+    known: Float[Array, "numbers"],
+    shapes: tuple[tuple[int, ...], tuple[int, ...]],
+    together: int,
+    threads: int,
+) -> Sequence[Array]:
+    """Two arrays of these shapes, which a kernel makes of what a flight has many of and of what is known of it.
+
+    So many threads work on one of the many together, and so many are a block.
+    """
+    results = [jax.ShapeDtypeStruct(shape, w.dtype) for shape in shapes]
+    call = jax.ffi.ffi_call(TARGET, results, vmap_method="broadcast_all")
+    numbers = {"groups": np.int64(together), "threads": np.int64(threads)}
+    return call(w, known, **numbers, **cuda.attributes(machine_code))

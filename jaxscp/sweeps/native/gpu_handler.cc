@@ -1,4 +1,5 @@
-// What XLA calls on an NVIDIA GPU: launches the kernel that ``kernel.py`` compiled, which the call carries with it.
+// What XLA calls on an NVIDIA GPU: launches a kernel that was written from a tape, which the call carries with it. Its
+// arguments are what a flight has several of, intervals say, what is known of the flight, and two results.
 
 #include <algorithm>
 #include <cstdint>
@@ -9,21 +10,21 @@ namespace jaxscp {
 namespace {
 
 struct Loaded {
-  CUfunction sweep = nullptr;
+  CUfunction kernel = nullptr;
 };
 
-// ``groups`` threads go through an interval; ``threads`` are a block.
+// ``groups`` threads work on one of the several; ``threads`` are a block.
 ffi::Error sweep(CUstream stream, ffi::Buffer<ffi::F64> w, ffi::Buffer<ffi::F64> known,
                  ffi::ResultBuffer<ffi::F64> outcomes, ffi::ResultBuffer<ffi::F64> jacobian,
                  ffi::Span<const uint8_t> image, std::string_view name, int64_t groups, int64_t threads) {
   const auto shape = w.dimensions();
-  if (shape.size() < 2) return ffi::Error::InvalidArgument("the sweep lacks an axis");
+  if (shape.size() < 2) return ffi::Error::InvalidArgument("a kernel made of a tape lacks an axis");
   long long intervals = shape[shape.size() - 2];  // of a flight
   long long count = static_cast<long long>(w.element_count()) / std::max<long long>(shape.back(), 1);
   const Driver& cuda = Driver::get();
   if (!cuda.found) return ffi::Error::Internal("the CUDA driver was not found, or is too old");
 
-  Failure failure{"the sweep's kernel"};
+  Failure failure{"a kernel made of a tape"};
   const Current current(cuda, stream, failure);
   if (failure.code != 0) return failure.error();
   static Kept<Loaded> kept;
@@ -31,16 +32,16 @@ ffi::Error sweep(CUstream stream, ffi::Buffer<ffi::F64> w, ffi::Buffer<ffi::F64>
     Loaded found;
     CUmodule module = nullptr;
     failure(cuda.cuModuleLoadData(&module, image.begin()), "loading it") &&
-        failure(cuda.cuModuleGetFunction(&found.sweep, module, "jaxscp_sweep"), "finding it");
+        failure(cuda.cuModuleGetFunction(&found.kernel, module, "jaxscp_kernel"), "finding it");
     return found;
   });
   const long long blocks = (count * groups + threads - 1) / threads;
-  if (blocks > INT32_MAX) return ffi::Error::InvalidArgument("the sweep has more intervals than a GPU can be given");
+  if (blocks > INT32_MAX) return ffi::Error::InvalidArgument("a kernel has more to do than a GPU can be given");
   if (failure.code == 0 && blocks > 0) {
     const double *from = w.typed_data(), *by = known.typed_data();
     double *to = outcomes->typed_data(), *slopes = jacobian->typed_data();
     void* arguments[] = {&from, &by, &to, &slopes, &count, &intervals};
-    failure(cuda.cuLaunchKernel(loaded.sweep, static_cast<unsigned>(blocks), 1, 1, static_cast<unsigned>(threads), 1, 1,
+    failure(cuda.cuLaunchKernel(loaded.kernel, static_cast<unsigned>(blocks), 1, 1, static_cast<unsigned>(threads), 1, 1,
                                 0, stream, arguments, nullptr),
             "launching it");
   }

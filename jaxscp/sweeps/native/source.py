@@ -9,36 +9,13 @@ step's end is added as soon as it is found; operations stand where their results
 no argument is found once a flight, outside of the kernel, and read anew at every stage, as are the controls.
 """
 
-import math
 from collections.abc import Iterator
-from typing import NamedTuple
 
 from jaxscp.runge_kutta import Method
-from jaxscp.sweeps import tape
 from jaxscp.sweeps.functions import Function
+from jaxscp.sweeps.native.statements import COMPARISONS, Scope, filled, known, literal, numbered
 
 THREADS = 128  # of a block
-
-_FORMS = {
-    "sum": "{} + {}",
-    "difference": "{} - {}",
-    "product": "{} * {}",
-    "reciprocal": "1.0 / {}",
-    "negative": "-{}",
-    "choice": "{} != 0.0 ? {} : {}",
-    "multiply_add": "fma({}, {}, {})",
-    "multiply_subtract": "fma(-{}, {}, {})",
-    **{name: name + "({})" for name in ("sqrt", "sin", "cos", "exp", "log", "tanh")},
-    "max": "greater({}, {})",
-    "min": "less({}, {})",
-    "abs": "fabs({})",
-    "lt": "{} < {} ? 1.0 : 0.0",
-    "le": "{} <= {} ? 1.0 : 0.0",
-    "gt": "{} > {} ? 1.0 : 0.0",
-    "ge": "{} >= {} ? 1.0 : 0.0",
-    "eq": "{} == {} ? 1.0 : 0.0",
-}
-_BY_CODE = {tape.CODES[name]: form for name, form in _FORMS.items()}
 
 _BEGIN = """\
 constexpr int kColumns = @columns, kGroups = @groups, kInputs = @inputs, kRows = @rows, kKnown = @known;
@@ -54,10 +31,6 @@ inline void add(Row& to, double factor, const Row& row) {
   for (int c = 0; c < kColumns; ++c) to.at[c] = fma(factor, row.at[c], to.at[c]);
 }
 
-// no number stays none, whichever it is
-inline double greater(double x, double y) { return x != x ? x : y <= x ? x : y; }
-inline double less(double x, double y) { return x != x ? x : y >= x ? x : y; }
-
 // The same address, which the compiler must not recognise: it would keep all that is read there in registers.
 inline const double* anew(const double* from) {
 #ifdef __CUDACC__
@@ -68,7 +41,7 @@ inline const double* anew(const double* from) {
 
 // ``intervals`` of a flight share what is known of it; there are ``count`` in all.
 extern "C" __global__ void __launch_bounds__(@threads)
-    jaxscp_sweep(const double* __restrict__ w, const double* __restrict__ known, double* __restrict__ outcomes,
+    jaxscp_kernel(const double* __restrict__ w, const double* __restrict__ known, double* __restrict__ outcomes,
                  double* __restrict__ jacobian, long long count, long long intervals) {
   const long long thread = static_cast<long long>(blockIdx.x) * @threads + threadIdx.x;
   const long long interval = thread / kGroups;
@@ -111,17 +84,6 @@ def groups(inputs: int, columns: int) -> int:
     return -(-inputs // columns)
 
 
-def known(t: tape.Tape, inputs: int) -> list[int]:
-    """Places of what depends on no argument and is no constant, as far as what does depend on one reads it.
-
-    Nothing else is ever put there.
-    """
-    of_parameters = range(inputs, inputs + len(t.parameters))
-    found = {*of_parameters, *t.operations[: t.once, 1].tolist()}
-    read = {place for code, _, *places in t.operations[t.once :].tolist() for place in _read(code, places)}
-    return sorted(found & (read | set(t.outputs.tolist())))
-
-
 def kernel(slopes: Function, states: int, method: Method, steps: int, columns: int) -> str:
     """The kernel's text.
 
@@ -135,58 +97,6 @@ def kernel(slopes: Function, states: int, method: Method, steps: int, columns: i
     return "\n".join(_Kernel(slopes, states, method, steps).lines(columns)) + "\n"
 
 
-def _read(code: int, operands: list[int]) -> list[int]:
-    """Those that an operation has."""
-    return operands[: _BY_CODE[code].count("{}")]
-
-
-class _Numbers(NamedTuple):
-    """What depends on arguments, every number with one of its own; what does not has its place's."""
-
-    operations: dict[int, tuple[int, list[int]]]
-    """By number: the code of what makes it, and what that reads."""
-    outputs: list[int]
-
-
-def _numbers(t: tape.Tape) -> _Numbers:
-    at = {place: place for place in range(t.places)}  # places serve again
-    operations = {}
-    for number, (code, to, *places) in enumerate(t.operations[t.once :].tolist(), start=t.places):
-        operations[number] = code, [at[v] for v in _read(code, places)]
-        at[to] = number
-    return _Numbers(operations, [at[v] for v in t.outputs.tolist()])
-
-
-class _Scope:
-    """Names of numbers. One without is read or made when it is needed, after what it is made of."""
-
-    def __init__(self, numbers: _Numbers, known: dict[int, int], names: dict[int, str], prefix: str) -> None:
-        self.numbers, self.known, self.names, self.prefix = numbers, known, names, prefix
-
-    def make(self, number: int) -> Iterator[str]:
-        """Statements after which it has a name."""
-        waiting = [number]
-        while waiting:
-            last = waiting[-1]
-            _, read = self.numbers.operations.get(last, (0, []))
-            lacking = [v for v in (last, *read) if v not in self.names]
-            if last not in lacking:
-                waiting.pop()
-            elif len(lacking) > 1:
-                waiting += reversed(lacking[1:])
-            else:
-                value = self.value(last)
-                self.names[last] = f"{self.prefix}{last}"
-                yield f"const double {self.names[last]} = {value};"
-
-    def value(self, number: int) -> str:
-        """It, by what has a name."""
-        if number in self.known:
-            return f"__ldg(known + {self.known[number]})"
-        code, read = self.numbers.operations[number]
-        return _BY_CODE[code].format(*(self.names[v] for v in read))
-
-
 class _Kernel:
     """What the text is made of."""
 
@@ -194,11 +104,11 @@ class _Kernel:
         self.slopes, self.n, self.method, self.steps = slopes, states, method, steps
         self.m, self.rows = slopes.arguments - states, slopes.values
         self.inputs = states + 2 * self.m
-        self.numbers = _numbers(slopes.first)
+        self.numbers = numbered(slopes.first)
         before = slopes.arguments + slopes.values  # prices of values, which nothing has here
         self.known = {place: i for i, place in enumerate(known(slopes.first, before))}
         constants = enumerate(slopes.first.constants.tolist(), start=before + len(slopes.first.parameters))
-        self.constants = {place: _literal(value) for place, value in constants}
+        self.constants = {place: literal(value) for place, value in constants}
         self.entries: list[list[tuple[int, int]]] = [[] for _ in range(self.rows)]
         """By row of the Jacobian: column, and number."""
         entries = zip(slopes.jacobian.tolist(), self.numbers.outputs[self.rows :], strict=True)
@@ -212,7 +122,7 @@ class _Kernel:
         n = self.n
         numbers = {"columns": columns, "groups": groups(self.inputs, columns), "inputs": self.inputs}
         numbers |= {"rows": self.rows, "known": len(self.known), "threads": THREADS}
-        yield _filled(_BEGIN, numbers)
+        yield filled(COMPARISONS + _BEGIN, numbers)
         for r in range(self.rows):
             yield f"  double x{r} = {f'w[{r}]' if r < n else '0.0'};"
             yield f"  Row dx{r} = {f'own({r})' if r < n else '{}'};"
@@ -230,7 +140,7 @@ class _Kernel:
         method, size = self.method, 1.0 / self.steps
         weights = [*method.table.tolist(), method.weights.tolist()]
         for stage, share in enumerate(method.shares.tolist()):
-            yield f"const double share{stage} = {_literal(size)} * (step + {_literal(share)});"
+            yield f"const double share{stage} = {literal(size)} * (step + {literal(share)});"
             later = range(stage + 1, method.stages + 1)
             to = {target: size * weights[target][stage] for target in later if weights[target][stage]}
             yield from self.stage(stage, to)
@@ -242,7 +152,7 @@ class _Kernel:
         """The slopes and their tangents, row by row."""
         n, m = self.n, self.m
         arguments = [*(self.at(stage, r) for r in range(n)), *(f"u{stage}_{k}" for k in range(m))]
-        scope = _Scope(self.numbers, self.known, self.constants | dict(enumerate(arguments)), f"v{stage}_")
+        scope = Scope(self.numbers, self.known, self.constants | dict(enumerate(arguments)), f"v{stage}_")
         yield "known = anew(known), w = anew(w);"
         for k in range(m):
             first, last = f"__ldg(w + {n + k})", f"__ldg(w + {n + m + k})"
@@ -258,8 +168,8 @@ class _Kernel:
             for target, weight in to.items():
                 yield from self.begin(target, r)
                 where = self.at(target, r)
-                yield f"{where} = fma({_literal(weight)}, {scope.names[slope]}, {where});"
-                yield f"add(d{where}, {_literal(weight)}, {tangent});"
+                yield f"{where} = fma({literal(weight)}, {scope.names[slope]}, {where});"
+                yield f"add(d{where}, {literal(weight)}, {tangent});"
 
     def at(self, stage: int, row: int) -> str:
         """A row of the state there."""
@@ -271,15 +181,3 @@ class _Kernel:
             self.begun.add((stage, row))
             yield f"double {self.at(stage, row)} = x{row};"
             yield f"Row d{self.at(stage, row)} = dx{row};"
-
-
-def _literal(value: float) -> str:
-    if math.isfinite(value):
-        return repr(value) if math.copysign(1.0, value) > 0.0 else f"({value!r})"
-    return "(0.0 / 0.0)" if math.isnan(value) else f"({'-' if value < 0.0 else ''}1.0 / 0.0)"
-
-
-def _filled(text: str, numbers: dict[str, int]) -> str:
-    for name, number in numbers.items():
-        text = text.replace(f"@{name}", str(number))
-    return text

@@ -1,0 +1,34 @@
+"""Planned controls flown from the initial state to the end, by an adaptive eighth-order method at tight tolerance.
+
+    in_jax.py     by diffrax
+    kernel.py     by a kernel for NVIDIA GPUs, which ``source.py`` writes from the tape of the dynamics
+
+The method is not the solver's. With it the kernel shares what writes kernels from tapes, and diffrax nothing.
+"""
+
+from jaxtyping import Array, Float
+
+from jaxscp.dynamics import Dynamics
+from jaxscp.flown import in_jax, kernel
+from jaxscp.libraries import choose
+from jaxscp.trajectory import Trajectory
+
+
+def states(dynamics: Dynamics, trajectory: Trajectory, samples: int) -> Float[Array, "intervals samples n"]:
+    """States at equally many points of every interval, from its first to its last.
+
+    Args:
+        dynamics: of what flies.
+        trajectory: of which the first state is taken, and controls and dilation, linear between the nodes.
+        samples: points an interval, two at least.
+
+    Returns:
+        Infinite from the first interval on that cannot be integrated.
+    """
+    start, control, dilation = trajectory.state[0], trajectory.control, trajectory.dilation
+
+    def by_diffrax(start, control, dilation):
+        return in_jax.states(dynamics, start, control, dilation, samples)
+
+    by_kernel = kernel.flight(dynamics, start, control, samples)
+    return choose(None, by_diffrax, start, control, dilation, cuda=by_kernel)

@@ -1,0 +1,138 @@
+"""Flights by the kernel for GPUs, run on a CPU by one lane, against those by diffrax."""
+
+import dataclasses
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxscp
+from jaxscp import flown, libraries
+from jaxscp.dynamics import Dynamics
+from jaxscp.flown import in_jax, kernel, source
+from jaxscp.libraries import cuda
+from jaxscp.sweeps import kernel as sweep_kernel
+from tests.kernels import compile_here, handler, needs_compiler, needs_nvidia
+
+NODES, SAMPLES = 4, 7
+AGREEMENT = 1e-8  # of two flights whose steps have errors of 1e-10 each
+BODY = jaxscp.airframes.paper_mav().body
+
+
+class Extreme(Dynamics):
+    """A state that a control lets fade, and one that grows beyond all bounds in time 1 / (power y)."""
+
+    power: jax.Array
+    state_size = 2
+    control_size = 1
+
+    def __call__(self, state, control):
+        x, y = state
+        return jnp.stack([-(control[0] ** 2) * x, self.power * y * y])
+
+
+def flights(count):
+    """Starts, controls and dilations of distinct flights of a rigid body."""
+    keys = jax.random.split(jax.random.key(0), 3)
+    start = jnp.zeros((count, 13)).at[:, 6].set(1.0) + 0.1 * jax.random.normal(keys[0], (count, 13))
+    control = BODY.hover_thrust() * (1.0 + 0.1 * jax.random.normal(keys[1], (count, NODES, 4)))
+    dilation = 1.0 + jax.random.uniform(keys[2], (count, NODES))
+    return start, control, dilation
+
+
+@pytest.fixture
+def emulated(tmp_path, monkeypatch):
+    """States by the kernel of some dynamics."""
+    monkeypatch.setattr(sweep_kernel, "TARGET", handler())
+
+    def states(dynamics, start, control, dilation, samples=SAMPLES):
+        slope = kernel.record(dynamics)
+        text, library = tmp_path / "kernel.cc", tmp_path / "kernel.so"
+        text.write_text(source.kernel(slope, dilation.shape[0] - 1, samples))
+        compile_here(text, library, "-include", "threads_on_a_cpu.h")
+        return kernel.states(slope, str(library).encode(), 1, samples, start, control, dilation)
+
+    return states
+
+
+@needs_compiler
+def test_it_is_the_flight_by_diffrax(emulated):
+    """Of a batch, whose masses differ."""
+    bodies = lambda mass: dataclasses.replace(BODY, mass=mass)  # noqa: E731
+    given = jnp.array([0.9, 1.0, 1.3]) * BODY.mass, *flights(3)
+
+    def by(states):
+        return jax.jit(jax.vmap(lambda mass, *rest: states(bodies(mass), *rest, SAMPLES)))(*given)
+
+    expected, found = by(in_jax.states), by(emulated)
+    assert found.shape == (3, NODES - 1, SAMPLES, 13)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=AGREEMENT)
+
+
+@needs_compiler
+def test_closed_form(emulated):
+    """x' = -u^2 x with u linear in time."""
+    start, control = jnp.array([1.0, 0.0]), jnp.array([[0.5], [2.0], [1.0], [0.0]])
+    found = emulated(Extreme(jnp.zeros(())), start, control, jnp.full(NODES, 3.0))
+    share = np.linspace(0.0, 1.0, SAMPLES)
+    logarithm, last = np.zeros((NODES - 1, SAMPLES)), 0.0
+    for k, (a, b) in enumerate(zip(control[:-1, 0], control[1:, 0], strict=True)):
+        logarithm[k] = last + a**2 * share + a * (b - a) * share**2 + (b - a) ** 2 * share**3 / 3.0
+        last = logarithm[k, -1]
+    np.testing.assert_allclose(found[:, :, 0], np.exp(-logarithm), rtol=0, atol=AGREEMENT)
+
+
+@needs_compiler
+def test_what_cannot_be_flown_is_infinite_and_other_lanes_are_not(emulated):
+    powers = jnp.array([0.1, 2.0, jnp.nan])
+    start, control, dilation = jnp.array([1.0, 1.0]), jnp.ones((NODES, 1)), jnp.full(NODES, 1.0)
+    by = lambda states: jax.vmap(lambda p: states(Extreme(p), start, control, dilation, SAMPLES))(powers)  # noqa: E731
+    expected, found = by(in_jax.states), by(emulated)
+    np.testing.assert_allclose(found[0], expected[0], rtol=0, atol=AGREEMENT)
+    np.testing.assert_array_equal(np.isinf(found[1:]), np.isinf(expected[1:]))
+    assert np.isinf(found[1:]).all(axis=(2, 3)).tolist() == [[False, True, True], [True, True, True]]
+
+
+@needs_nvidia
+@pytest.mark.parametrize("capability", ["80", "90"])
+def test_kernel_compiles(capability):
+    text = source.kernel(kernel.record(BODY), NODES - 1, SAMPLES)
+    assert kernel.machine_code(text, capability).startswith(b"\x7fELF")
+
+
+@needs_nvidia
+def test_a_kernel_that_does_not_compile_is_left_to_jax():
+    with pytest.warns(UserWarning, match=r"(?s)does not compile .*flights run as JAX"):
+        assert kernel.machine_code("no text of a kernel", "90") is None
+
+
+class Untraceable(Dynamics):
+    state_size = 2
+    control_size = 1
+
+    def __call__(self, state, control):
+        return jnp.sort(state) * control
+
+
+def test_a_gpu_runs_the_kernel_where_there_is_one(monkeypatch):
+    """As on a machine with a GPU: each device flies its own way."""
+    start, control, dilation = (v[0] for v in flights(1))
+    assert kernel.flight(BODY, start, control, SAMPLES) is None
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    monkeypatch.setattr(cuda, "capability", lambda: "90")
+    monkeypatch.setattr(cuda, "launches", lambda _: True)
+    monkeypatch.setattr(cuda, "compiles_for", lambda _: True)
+    monkeypatch.setattr(kernel, "machine_code", lambda *_: b"an image")
+
+    def calls(platform, dynamics, start, control):
+        states = jnp.zeros((NODES, dynamics.state_size)).at[0].set(start)
+        trajectory = jaxscp.Trajectory(dilation, states, control, dilation)
+        traced = jax.jit(functools.partial(flown.states, dynamics, samples=SAMPLES)).trace(trajectory)
+        return libraries.SWEEP.on_gpu in traced.lower(lowering_platforms=(platform,)).as_text()
+
+    assert calls("cuda", BODY, start, control)
+    assert not calls("cpu", BODY, start, control)
+    assert not calls("cuda", Untraceable(), jnp.ones(2), jnp.ones((NODES, 1)))
+    assert kernel.flight(BODY, start.astype(jnp.float32), control, SAMPLES) is None
