@@ -52,7 +52,7 @@ def emulated(tmp_path, monkeypatch):
         text, library = tmp_path / "kernel.cc", tmp_path / "kernel.so"
         text.write_text(source.kernel(slope, dilation.shape[0] - 1, samples))
         compile_here(text, library, "-include", "threads_on_a_cpu.h")
-        return kernel.states(slope, str(library).encode(), 1, samples, start, control, dilation)
+        return kernel.states(dynamics, slope, str(library).encode(), 1, samples, start, control, dilation)
 
     return states
 
@@ -93,6 +93,19 @@ def test_what_cannot_be_flown_is_infinite_and_other_lanes_are_not(emulated):
     np.testing.assert_allclose(found[0], expected[0], rtol=0, atol=AGREEMENT)
     np.testing.assert_array_equal(np.isinf(found[1:]), np.isinf(expected[1:]))
     assert np.isinf(found[1:]).all(axis=(2, 3)).tolist() == [[False, True, True], [True, True, True]]
+
+
+@needs_compiler
+def test_a_kernel_of_other_dynamics_flies_nothing(emulated, monkeypatch):
+    """From the first interval on where their slopes differ: here gravity is the same, and the rates at first."""
+    other = dataclasses.replace(BODY, inertia=1.001 * BODY.inertia)
+    start, control, dilation = (v[0] for v in flights(1))
+    control = control.at[0].set(BODY.hover_thrust())
+    start = start.at[10:].set(0.0)
+    record = kernel.record
+    monkeypatch.setattr(kernel, "record", lambda _: record(other))
+    found = emulated(BODY, start, control, dilation)
+    assert np.isfinite(found).all(axis=(1, 2)).tolist() == [True, False, False]
 
 
 @needs_nvidia

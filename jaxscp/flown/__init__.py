@@ -3,7 +3,8 @@
     in_jax.py     by diffrax
     kernel.py     by a kernel for NVIDIA GPUs, which ``source.py`` writes from the tape of the dynamics
 
-The method is not the solver's. With it the kernel shares what writes kernels from tapes, and diffrax nothing.
+The method is not the solver's, nor is any of this code, but for what turns dynamics into kernels: what comes of that
+is compared with the dynamics.
 """
 
 from jaxtyping import Array, Float

@@ -46,10 +46,10 @@ struct Flight {
   double state[kStates], stage[kStates], slopes[kStages][kStates];
 };
 
-// ``count`` flights, of which ``of_one`` in a row share what is known.
+// ``count`` flights, of which ``of_one`` in a row share what is known; ``slopes`` are those at the intervals' begins.
 extern "C" __global__ void __launch_bounds__(@threads)
     jaxscp_kernel(const double* __restrict__ w, const double* __restrict__ known, double* __restrict__ states,
-                  double* __restrict__ taken, long long count, long long of_one) {
+                  double* __restrict__ slopes, long long count, long long of_one) {
   __shared__ Flight flights[@threads / kLanes];
   const long long number = (static_cast<long long>(blockIdx.x) * @threads + threadIdx.x) / kLanes;
   if (number >= count) return;
@@ -58,6 +58,7 @@ extern "C" __global__ void __launch_bounds__(@threads)
   w += number * kInputs;
   known += number / of_one * kKnown;
   states += number * kIntervals * kSamples * kStates;
+  slopes += number * kIntervals * kStates;
 
   // act(s) for the lane's states
   auto each = [&](auto act) {
@@ -82,7 +83,6 @@ extern "C" __global__ void __launch_bounds__(@threads)
   };
   auto share_of = [](int sample) { return sample == kStretches ? 1.0 : sample * (1.0 / kStretches); };
 
-  int steps = 0;
   bool good = true;
   each([&](int s) { f.state[s] = w[s]; });
 #pragma unroll 1
@@ -92,6 +92,7 @@ extern "C" __global__ void __launch_bounds__(@threads)
     int sample = 0, left = kMostSteps;
     each([&](int s) { f.stage[s] = f.state[s]; });
     find_slope(interval, 0.0, f.slopes[0]);
+    each([&](int s) { slopes[interval * kStates + s] = f.slopes[0][s]; });
 #pragma unroll 1
     while (good && begin < 1.0) {
       good = left-- > 0;
@@ -126,12 +127,10 @@ extern "C" __global__ void __launch_bounds__(@threads)
       const double growth = error > 0.0 ? kSafety / sqrt(sqrt(sqrt(error))) : kMost;
       const double least = accepted ? 1.0 : kLeast;
       length = size * (growth > least ? growth < kMost ? growth : kMost : least);
-      ++steps;
     }
     if (!good)
       for (int k = lane; k < kSamples * kStates; k += kLanes) out[k] = 1.0 / 0.0;
   }
-  if (lane == 0) taken[number] = steps;
 }
 """
 
