@@ -84,5 +84,5 @@ def states(
     (found,), (slopes,) = launched(image, w, known_of(slope), shapes, lanes, source.THREADS)
     expected = jax.vmap(dynamics)(found[:, 0], control[:-1]) * dilation[:-1, None] / intervals
     same = jnp.all(jnp.abs(slopes - expected) <= AGREEMENT * (1.0 + jnp.abs(expected)), axis=1)
-    until = jnp.cumprod(same) > 0
+    until = jnp.cumprod(same).astype(bool)
     return jnp.where(until[:, None, None], found, jnp.full_like(found, jnp.inf))
