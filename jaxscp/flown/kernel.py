@@ -81,8 +81,8 @@ def states(
     intervals, n = dilation.shape[0] - 1, start.shape[0]
     w = jnp.concatenate([start, control.ravel(), dilation])[None]
     shapes = (1, intervals, samples, n), (1, intervals, n)
-    (found,), (slopes,) = launched(image, w, known_of(slope), shapes, lanes, source.THREADS)
+    found, slopes = (v[0] for v in launched(image, w, known_of(slope), shapes, lanes, source.THREADS))
     expected = jax.vmap(dynamics)(found[:, 0], control[:-1]) * dilation[:-1, None] / intervals
     same = jnp.all(jnp.abs(slopes - expected) <= AGREEMENT * (1.0 + jnp.abs(expected)), axis=1)
-    until = jnp.cumprod(same).astype(bool)
-    return jnp.where(until[:, None, None], found, jnp.full_like(found, jnp.inf))
+    until = jnp.cumprod(same).astype(bool)[:, None, None]
+    return jnp.where(until, found, jnp.inf)
