@@ -88,7 +88,7 @@ def certify(
         problem: what was asked.
         trajectory: the answer; only its controls, its dilation and its first state are trusted. ``problem.final``
             must be a condition on (position, velocity, attitude by 3 or 4 components, body rate).
-        samples: points an interval at which constraints are evaluated.
+        samples: points an interval at which constraints are evaluated, two at least.
         optimality: what ``stationarity`` found, if the method claims an optimum.
     """
     flight = fly(problem, trajectory, samples)

@@ -121,6 +121,13 @@ def test_a_kernel_that_does_not_compile_is_left_to_jax():
         assert kernel.machine_code("no text of a kernel", "90") is None
 
 
+def test_an_interval_has_two_samples_at_least():
+    start, control, dilation = (v[0] for v in flights(1))
+    trajectory = jaxscp.Trajectory(dilation, jnp.tile(start, (NODES, 1)), control, dilation)
+    with pytest.raises(ValueError, match="samples: 1 of an interval"):
+        flown.states(BODY, trajectory, 1)
+
+
 class Untraceable(Dynamics):
     state_size = 2
     control_size = 1

@@ -25,7 +25,12 @@ def states(dynamics: Dynamics, trajectory: Trajectory, samples: int) -> Float[Ar
 
     Returns:
         Infinite from the first interval on that cannot be integrated.
+
+    Raises:
+        ValueError: if there are fewer samples: an interval begins where the last sample of the one before is.
     """
+    if samples < 2:
+        raise ValueError(f"samples: {samples} of an interval, but its first and its last point are needed")
     start, control, dilation = trajectory.state[0], trajectory.control, trajectory.dilation
 
     def by_diffrax(start, control, dilation):
