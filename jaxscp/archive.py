@@ -21,7 +21,7 @@ from jax.experimental import serialize_executable
 
 from jaxscp import libraries
 
-FORMAT = 7
+FORMAT = 8
 PROGRAMS = ("setup", "solve", "conclude")
 COMPILED = (
     *(library.on_gpu for library in libraries.EVERY if library.on_gpu),

@@ -1,8 +1,8 @@
 """An independent judge of an answer: it shares no code with the solver's discretisation (but see ``flown``).
 
 The planned controls are flown again, from the initial state to the end without correction, by an adaptive
-eighth-order method (diffrax's Dopri8; ``flown``) at tight tolerance. The constraints are then evaluated on that flight,
-densely between the nodes, in their own units.
+eighth-order method (Dormand and Prince's; ``flown``) at tight tolerance. The constraints are then evaluated on that
+flight, densely between the nodes, in their own units.
 """
 
 import equinox as eqx

@@ -1,126 +1,13 @@
-// The GPU's kernel on a CPU: the threads of one block take turns, each until the next barrier.
-//
-// Slow, but the same text as on a GPU: what lanes pass to each other, and which phase needs which to be done. Compiled
-// for the sizes of one program (JAXSCP_SIZES) and called as the loop for CPUs is.
+// The interior point's kernel for GPUs on a CPU, compiled for the sizes of one program (JAXSCP_SIZES) and called as the
+// loop for CPUs is.
 
-#include <ucontext.h>
-
-#include <cmath>
-#include <cstdio>
-#include <cstdlib>
-#include <functional>
-#include <memory>
-#include <vector>
+#define JAXSCP_EMULATED_GPU
+#define JAXSCP_BLOCKS 1
+#define JAXSCP_ALONE JAXSCP_THREADS
 
 #include "xla/ffi/api/ffi.h"
 
-#define __CUDACC__
-#define JAXSCP_EMULATED_GPU
-#define __noinline__
-#define __global__
-#define __shared__ static
-#define __grid_constant__
-#define __launch_bounds__(threads, blocks)
-#define JAXSCP_BLOCKS 1
-
-struct Index {
-  unsigned x = 0;
-};
-static Index threadIdx, blockIdx;
-
-namespace emulated {
-
-constexpr int kWarpSize = 32;
-
-// A barrier: those who come wait for the rest.
-struct Barrier {
-  int size = 0, arrived = 0, round = 0;
-};
-
-std::vector<ucontext_t> fibers;
-std::vector<bool> ended;
-std::vector<Barrier> warps;
-Barrier block;
-ucontext_t scheduler;
-double passed[64][kWarpSize];
-std::function<void()> body;
-
-inline void wait(Barrier& barrier) {
-  int me = threadIdx.x, round = barrier.round;
-  if (++barrier.arrived == barrier.size) {
-    barrier.arrived = 0;
-    ++barrier.round;
-    return;
-  }
-  while (barrier.round == round) {
-    swapcontext(&fibers[me], &scheduler);
-    threadIdx.x = me;
-  }
-}
-
-inline void enter() {
-  int me = threadIdx.x;
-  body();
-  ended[me] = true;
-  swapcontext(&fibers[me], &scheduler);
-}
-
-// ``work`` by as many threads at once.
-inline void run(int threads, std::function<void()> work) {
-  constexpr size_t kStack = 1 << 18;
-  std::vector<std::unique_ptr<char[]>> stacks;
-  fibers.assign(threads, {}), ended.assign(threads, false);
-  warps.assign(threads / kWarpSize, {kWarpSize}), block = {threads};
-  body = std::move(work);
-  for (auto& fiber : fibers) {
-    stacks.push_back(std::make_unique<char[]>(kStack));
-    getcontext(&fiber);
-    fiber.uc_stack.ss_sp = stacks.back().get(), fiber.uc_stack.ss_size = kStack, fiber.uc_link = nullptr;
-    makecontext(&fiber, enter, 0);
-  }
-  for (int left = threads; left > 0;) {
-    left = 0;
-    // each round begins with another thread, so that none is always first
-    static int turn = 0;
-    turn = (turn * 5 + 3) % threads;
-    for (int i = 0; i < threads; ++i) {
-      int t = (i + turn) % threads;
-      if (ended[t]) continue;
-      threadIdx.x = t;
-      swapcontext(&scheduler, &fibers[t]);
-      left += !ended[t];
-    }
-  }
-}
-
-}  // namespace emulated
-
-inline void __syncthreads() { emulated::wait(emulated::block); }
-inline void __syncwarp() { emulated::wait(emulated::warps[threadIdx.x / emulated::kWarpSize]); }
-inline double exchanged(double v, int from) {
-  double(&slots)[emulated::kWarpSize] = emulated::passed[threadIdx.x / emulated::kWarpSize];
-  slots[threadIdx.x % emulated::kWarpSize] = v;
-  __syncwarp();
-  double found = slots[from];
-  __syncwarp();
-  return found;
-}
-template <typename T>
-inline T __shfl_sync(unsigned, T v, int from) {
-  return static_cast<T>(exchanged(static_cast<double>(v), from));
-}
-inline double __shfl_xor_sync(unsigned, double v, int apart) {
-  return exchanged(v, threadIdx.x % emulated::kWarpSize ^ apart);
-}
-inline double rsqrt(double v) { return 1.0 / std::sqrt(v); }
-inline unsigned long long atomicAdd(unsigned long long* at, unsigned long long by) {
-  unsigned long long before = *at;
-  *at += by;
-  return before;
-}
-using std::fabs;
-using std::sqrt;
-
+#include "fibers_on_a_cpu.h"
 #include "kernel.cu"
 
 namespace jaxscp {
@@ -141,11 +28,11 @@ void add_products(double (&sums)[2], double a, double b) {
 static xla::ffi::Error solve(xla::ffi::RemainingArgs args, xla::ffi::RemainingRets rets, xla::ffi::Dictionary attrs) {
   auto found = jaxscp::shaped(args, rets, attrs);
   if (!found.has_value()) return found.error();
-  long long found_room[4], &numbers = found_room[0];
+  long long found_room[5], &numbers = found_room[0];
   jaxscp_room(found_room);
   std::vector<double> room(numbers, std::nan(""));
   unsigned long long taken = 0;
-  emulated::run(jaxscp::kThreads, [&] { jaxscp_solve(found->batch, room.data(), numbers, &taken); });
+  emulated::run(JAXSCP_THREADS, [&] { jaxscp_solve(found->batch, room.data(), numbers, &taken); });
   return xla::ffi::Error::Success();
 }
 

@@ -17,7 +17,7 @@ static double __ldg(const double* at) { return *at; }
 using std::cos, std::exp, std::fabs, std::fma, std::log, std::sin, std::sqrt, std::tanh;
 
 extern "C" void jaxscp_kernel(const double* w, const double* known, double* outcomes, double* jacobian, long long count,
-                             long long intervals);
+                              long long intervals);
 
 // As many blocks as the handler for GPUs launches.
 extern "C" void run(const double* w, const double* known, double* outcomes, double* jacobian, long long count,

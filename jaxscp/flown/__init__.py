@@ -1,5 +1,6 @@
 """Planned controls flown from the initial state to the end, by an adaptive eighth-order method at tight tolerance.
 
+    accuracy.py   how accurately
     in_jax.py     by diffrax
     kernel.py     by a kernel for NVIDIA GPUs, which ``source.py`` writes from the tape of the dynamics
 

@@ -4,7 +4,6 @@ As JAX, every stage of every step is a few kernels, thousands one after another 
 """
 
 import functools
-import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -18,9 +17,9 @@ from jaxscp.flown import source
 from jaxscp.libraries import cuda
 from jaxscp.sweeps import functions, tracing
 from jaxscp.sweeps.functions import Function
-from jaxscp.sweeps.kernel import known_of, launched
+from jaxscp.sweeps.kernel import image, kernels, known_of, launched
 
-AGREEMENT = 1e-9  # of slopes, relative: far above rounding
+AGREEMENT = 1e-9  # of slopes: far above rounding
 
 
 def flight(
@@ -29,18 +28,14 @@ def flight(
     """What flies, as a function of (start, control, dilation), on JAX's default device; None where that is no GPU or
     has no kernel for it."""
     here = cuda.capability()
-    if here is None or not (cuda.launches(libraries.SWEEP) and cuda.compiles_for(here)):
-        return None
-    if not libraries.in_float64((start, control)):
+    if here is None or not kernels() or not libraries.in_float64((start, control)):
         return None
     try:
         slope = record(dynamics)
     except tracing.CannotTrace:
         return None
-    image = machine_code(source.kernel(slope, control.shape[0] - 1, samples), here)
-    if image is None:
-        return None
-    return functools.partial(states, dynamics, slope, image, source.LANES, samples)
+    code = image(source.kernel(slope, control.shape[0] - 1, samples), here, "the flight")
+    return None if code is None else functools.partial(states, dynamics, slope, code, source.LANES, samples)
 
 
 def record(dynamics: Dynamics) -> Function:
@@ -53,20 +48,10 @@ def record(dynamics: Dynamics) -> Function:
     return functions.record(lambda a: dynamics(a[:n], a[n:]), n + dynamics.control_size, (), order=0)
 
 
-@functools.cache
-def machine_code(text: str, capability: str) -> bytes | None:
-    """A kernel as machine code of the GPU; None and a warning if it does not compile."""
-    try:
-        return cuda.machine_code(text, capability)
-    except RuntimeError as error:
-        warnings.warn(f"{error}; flights run as JAX", stacklevel=2)
-        return None
-
-
 def states(
     dynamics: Dynamics,
     slope: Function,
-    image: bytes,
+    machine_code: bytes,
     lanes: int,
     samples: int,
     start: Float[Array, "n"],
@@ -76,13 +61,14 @@ def states(
     """States at points of every interval, by a kernel of which so many lanes fly together.
 
     A judge trusts nobody: from the first interval on at whose begin the kernel's slope is not that of the dynamics, as
-    JAX finds it, there is no flight.
+    JAX finds it, there is no flight. To rounding, that is, which may be that of the largest of the slopes.
     """
     intervals, n = dilation.shape[0] - 1, start.shape[0]
     w = jnp.concatenate([start, control.ravel(), dilation])[None]
     shapes = (1, intervals, samples, n), (1, intervals, n)
-    found, slopes = (v[0] for v in launched(image, w, known_of(slope), shapes, lanes, source.THREADS))
+    found, slopes = (v[0] for v in launched(machine_code, w, known_of(slope), shapes, lanes, source.THREADS))
     expected = jax.vmap(dynamics)(found[:, 0], control[:-1]) * dilation[:-1, None] / intervals
-    same = jnp.all(jnp.abs(slopes - expected) <= AGREEMENT * (1.0 + jnp.abs(expected)), axis=1)
+    lacks, sizes = (jnp.max(jnp.abs(v), axis=1) for v in (slopes - expected, expected))
+    same = lacks <= AGREEMENT * (1.0 + sizes)
     until = jnp.cumprod(same).astype(bool)[:, None, None]
     return jnp.where(until, found, jnp.inf)

@@ -124,7 +124,7 @@ extern "C" __global__ void __launch_bounds__(@threads)
         each([&](int s) { f.state[s] = f.stage[s], f.slopes[0][s] = f.slopes[kStages - 1][s]; });
         begin = end;
       }
-      const double growth = error > 0.0 ? kSafety / sqrt(sqrt(sqrt(error))) : kMost;
+      const double growth = error == 0.0 ? kMost : error > 0.0 ? kSafety / sqrt(sqrt(sqrt(error))) : kLeast;
       const double least = accepted ? 1.0 : kLeast;
       length = size * (growth > least ? growth < kMost ? growth : kMost : least);
     }

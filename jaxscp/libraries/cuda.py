@@ -51,33 +51,17 @@ def compiler() -> Any:
     return nvrtc
 
 
-@functools.cache
-def compiles_for(capability: str) -> bool:
-    """Whether there is a compiler, and it knows GPUs of this compute capability."""
-    nvrtc = compiler()
-    if nvrtc is None:
-        return False
-    result, known = nvrtc.nvrtcGetSupportedArchs()
-    found = int(result) == 0 and int(capability) in known
-    if not found:
-        message = (
-            f"jaxscp: NVIDIA's compiler here does not know this GPU ({capability}), and kernels run as JAX"
-        )
-        warnings.warn(message, stacklevel=2)
-    return found
-
-
-def machine_code(source: str, capability: str, folders: Sequence[Path] = (), **macros: object) -> bytes:
-    """A kernel as machine code of the GPU.
+def machine_code(
+    source: str, capability: str, whose: str, folders: Sequence[Path] = (), **macros: object
+) -> bytes | None:
+    """A kernel as machine code of the GPU; None and a warning if it does not compile.
 
     Args:
         source: its text.
         capability: of the GPU.
+        whose: the kernel is, for the warning.
         folders: where headers are.
         macros: to be defined.
-
-    Raises:
-        RuntimeError: if it does not compile.
     """
     nvrtc = compiler()
     options = [
@@ -100,7 +84,9 @@ def machine_code(source: str, capability: str, folders: Sequence[Path] = (), **m
             log = bytearray(checked(*nvrtc.nvrtcGetProgramLogSize(program)))
             checked(*nvrtc.nvrtcGetProgramLog(program, log))
             said = log.decode(errors="replace").strip("\0\n ")
-            raise RuntimeError(f"jaxscp: a kernel does not compile ({result}): {said}")
+            message = f"jaxscp: {whose}'s kernel does not compile, and it runs as JAX ({result}: {said})"
+            warnings.warn(message, stacklevel=3)
+            return None
         image = bytearray(checked(*nvrtc.nvrtcGetCUBINSize(program)))
         checked(*nvrtc.nvrtcGetCUBIN(program, image))
     finally:

@@ -5,7 +5,6 @@ the threads from an interval's begin to its end.
 """
 
 import functools
-import warnings
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -35,11 +34,14 @@ class Kernel(NamedTuple):
     """What depends on no interval's variables, and is read there."""
 
 
+def kernels() -> bool:
+    """Whether kernels that are written from tapes can be compiled, and launched on the GPU that JAX runs on."""
+    return cuda.launches(libraries.SWEEP) and cuda.compiler() is not None
+
+
 def serves(intervals: Intervals, w: Array) -> bool:
     """Whether there may be a kernel for these intervals, on the GPU that is JAX's default device."""
-    here = cuda.capability()
-    compiles = here is not None and cuda.launches(libraries.SWEEP) and cuda.compiles_for(here)
-    return compiles and libraries.in_float64(w) and intervals.watch.nothing
+    return libraries.in_float64(w) and kernels() and intervals.watch.nothing
 
 
 def record(intervals: Intervals, inputs: int, columns: int = COLUMNS) -> Kernel:
@@ -66,13 +68,9 @@ def known_of(slopes: Function) -> Float[Array, "numbers"]:
 
 
 @functools.cache
-def image(text: str, capability: str) -> bytes | None:
+def image(text: str, capability: str, whose: str = "the sweep") -> bytes | None:
     """A kernel as machine code of the GPU; None and a warning if it does not compile."""
-    try:
-        return cuda.machine_code(text, capability)
-    except RuntimeError as error:
-        warnings.warn(f"{error}; the sweep runs as JAX", stacklevel=2)
-        return None
+    return cuda.machine_code(text, capability, whose)
 
 
 def sweep(

@@ -21,13 +21,11 @@ The libraries are compiled when the package is installed, if there is a C++ comp
 and in float32, the interior point runs as JAX.
 """
 
-import functools
 import math
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.custom_batching import custom_vmap
 
 from jaxscp import libraries
 from jaxscp.conic import kkt
@@ -80,26 +78,8 @@ def call(
 def call_on_gpu(
     program: StagedProgram, cost: Scalar, tolerance: Scalar, near: Near | None = None, **settings: float | int
 ):
-    """Solve an equilibrated program on the GPU that is JAX's default device; see ``call``.
-
-    By how many there are under ``vmap``, many threads solve one together or few do.
-    """
-
-    def of(lanes: int, arguments):
-        program, cost, tolerance, near = arguments
-        return _call(gpu.TARGET, program, cost, tolerance, near, settings | gpu.attributes(program, lanes))
-
-    @custom_vmap
-    def solve(arguments):
-        return of(1, arguments)
-
-    @solve.def_vmap
-    def _(lanes, batched, arguments):
-        axes = jax.tree.map(lambda own: 0 if own else None, batched[0])
-        found = jax.vmap(functools.partial(of, lanes), in_axes=(axes,), axis_size=lanes)(arguments)
-        return found, jax.tree.map(lambda _: True, found)
-
-    return solve((program, cost, tolerance, near))
+    """Solve an equilibrated program on the GPU that is JAX's default device; see ``call``."""
+    return _call(gpu.TARGET, program, cost, tolerance, near, settings | gpu.attributes(program))
 
 
 def _call(

@@ -15,7 +15,7 @@ using Input = Lanes<const double>;
 using Output = Lanes<double>;
 
 // Of what a handler passes to a kernel: to be raised with every change of ``Batch``, as either may be of another time.
-constexpr long long kVersion = 4;
+constexpr long long kVersion = 5;
 
 struct Batch {
   long long lanes;

@@ -13,23 +13,13 @@ import numpy as np
 from jaxscp import libraries
 from jaxscp.conic.program import StagedProgram
 from jaxscp.libraries import cuda
+from jaxscp.libraries.cuda import compiler
 
 TARGET = libraries.INTERIOR_POINT.on_gpu
+THREADS = 256  # that solve a program together
+BLOCKS = 4  # programs that a multiprocessor has at once
+ALONE = 512  # threads of a program that has a multiprocessor to itself
 WARP = 32
-
-
-class Launch(NamedTuple):
-    """What a kernel is compiled for."""
-
-    threads: int
-    """That solve a program together."""
-    blocks: int
-    """Programs that a multiprocessor has at once."""
-
-
-# As many programs at once as there is room for; or, where there are fewer than multiprocessors, each sooner.
-MANY, ALONE = Launch(256, 4), Launch(512, 1)
-FEW = 100  # GPUs of the datacentre have more multiprocessors
 
 
 class Sizes(NamedTuple):
@@ -62,9 +52,8 @@ def sizes_of(program: StagedProgram) -> Sizes:
 
 
 def serves(program: StagedProgram) -> bool:
-    """Whether a kernel for this program can be compiled, for the GPUs that JAX runs on."""
-    here = cuda.capability()
-    return here is not None and cuda.compiles_for(here) and sizes_of(program).fit
+    """Whether there is a kernel for this program, on the GPUs that JAX runs on; made if need be."""
+    return _kernel(program) is not None
 
 
 def available() -> bool:
@@ -72,29 +61,31 @@ def available() -> bool:
     return cuda.launches(libraries.INTERIOR_POINT)
 
 
-@functools.cache
-def kernel(sizes: Sizes, capability: str, launch: Launch) -> bytes:
-    """The kernel for programs of these sizes, as machine code of the GPU.
+def _kernel(program: StagedProgram) -> bytes | None:
+    here, sizes = cuda.capability(), sizes_of(program)
+    return kernel(sizes, here) if here and compiler() and sizes.fit else None
 
-    Raises:
-        RuntimeError: if it does not compile.
-    """
+
+@functools.cache
+def kernel(sizes: Sizes, capability: str) -> bytes | None:
+    """The kernel for programs of these sizes, as machine code of the GPU; None and a warning if it does not compile."""
     folder = Path(__file__).parent
     return cuda.machine_code(
         (folder / "kernel.cu").read_text(),
         capability,
+        "the interior point",
         (folder, Path(libraries.__file__).parent),
         JAXSCP_SIZES=sizes,
-        JAXSCP_THREADS=launch.threads,
-        JAXSCP_BLOCKS=launch.blocks,
+        JAXSCP_THREADS=THREADS,
+        JAXSCP_BLOCKS=BLOCKS,
+        JAXSCP_ALONE=ALONE,
     )
 
 
-def attributes(program: StagedProgram, lanes: int) -> dict:
-    """What a call carries with it for the kernel's sake, where there are so many programs."""
-    here = cuda.capability()
-    if here is None:
+def attributes(program: StagedProgram) -> dict:
+    """What a call carries with it for the kernel's sake."""
+    image = _kernel(program)
+    if image is None:
         raise RuntimeError("jaxscp: no GPU here that the interior point's kernel runs on")
-    launch = ALONE if lanes <= FEW else MANY
-    image = kernel(sizes_of(program), here, launch)
-    return cuda.attributes(image) | {name: np.int64(value) for name, value in launch._asdict().items()}
+    launch = {"blocks": BLOCKS, "threads": THREADS, "alone": ALONE}
+    return cuda.attributes(image) | {name: np.int64(value) for name, value in launch.items()}

@@ -14,7 +14,8 @@ constexpr int kOutOfMemory = 2;       // CUDA_ERROR_OUT_OF_MEMORY
 struct Loaded {
   CUfunction solve = nullptr;
   long long room = 0;  // numbers that a program and its solver take
-  long long version = 0, batch = 0, shared = 0;  // as ``jaxscp_room`` says
+  long long version = 0, batch = 0;  // as ``jaxscp_room`` says
+  long long shared = 0, shared_alone = 0;  // bytes of a block; none of one alone where a multiprocessor has not so many
   int multiprocessors = 0;
   long long grid = 1ll << 30;  // at most: that there was memory for before
 };
@@ -26,7 +27,7 @@ Loaded load(const Driver& cuda, ffi::Span<const uint8_t> image, CUstream stream,
   int device = 0;
   auto number = reinterpret_cast<unsigned long long>(scratch);
   void* arguments[] = {&scratch};
-  long long said[4] = {};
+  long long said[5] = {};
   failure(cuda.cuModuleLoadData(&module, image.begin()), "loading it") &&
       failure(cuda.cuModuleGetFunction(&loaded.solve, module, "jaxscp_solve"), "finding it") &&
       failure(cuda.cuModuleGetFunction(&room, module, "jaxscp_room"), "finding it") &&
@@ -35,13 +36,18 @@ Loaded load(const Driver& cuda, ffi::Span<const uint8_t> image, CUstream stream,
       failure(cuda.cuLaunchKernel(room, 1, 1, 1, 1, 1, 1, 0, stream, arguments, nullptr), "launching it") &&
       failure(cuda.cuMemcpyDtoHAsync_v2(said, number, sizeof(said), stream), "asking for its room") &&
       failure(cuda.cuStreamSynchronize(stream), "asking for its room");
-  loaded.room = said[0], loaded.version = said[1], loaded.batch = said[2], loaded.shared = said[3];
-  if (loaded.version == kVersion)
-    failure(cuda.cuFuncSetAttribute(loaded.solve, kSharedMost, static_cast<int>(loaded.shared)), "sharing memory");
+  loaded.room = said[0], loaded.version = said[1], loaded.batch = said[2];
+  loaded.shared = said[3], loaded.shared_alone = said[4];
+  if (failure.code != 0 || loaded.version != kVersion) return loaded;
+  auto share = [&](long long bytes) {
+    return cuda.cuFuncSetAttribute(loaded.solve, kSharedMost, static_cast<int>(bytes));
+  };
+  if (share(loaded.shared_alone) != 0) loaded.shared_alone = 0, failure(share(loaded.shared), "sharing memory");
   return loaded;
 }
 
-// ``blocks``: how many a multiprocessor is to hold at once, of ``threads`` each.
+// ``blocks``: how many a multiprocessor is to hold at once, of ``threads`` each; ``alone``: threads of one that has a
+// multiprocessor to itself, as there are so few.
 ffi::Error solve(CUstream stream, ffi::ScratchAllocator scratch, ffi::RemainingArgs args, ffi::RemainingRets rets,
                  ffi::Dictionary attrs) {
   auto found = shaped(args, rets, attrs);
@@ -49,7 +55,8 @@ ffi::Error solve(CUstream stream, ffi::ScratchAllocator scratch, ffi::RemainingA
   auto image = attrs.get<ffi::Span<const uint8_t>>("image");
   auto name = attrs.get<std::string_view>("name");
   auto blocks = attrs.get<int64_t>("blocks"), threads = attrs.get<int64_t>("threads");
-  if (!image.has_value() || !name.has_value() || !blocks.has_value() || !threads.has_value())
+  auto alone = attrs.get<int64_t>("alone");
+  if (!image.has_value() || !name.has_value() || !blocks.has_value() || !threads.has_value() || !alone.has_value())
     return ffi::Error::InvalidArgument("the interior point's kernel is not part of the call");
   const Driver& cuda = Driver::get();
   if (!cuda.found) return ffi::Error::Internal("the CUDA driver was not found, or is too old");
@@ -71,6 +78,8 @@ ffi::Error solve(CUstream stream, ffi::ScratchAllocator scratch, ffi::RemainingA
     return ffi::Error::Internal(
         "the interior point's kernel is of another version of jaxscp: install that again, or export the planner again");
   if (failure.code == 0 && found->batch.lanes > 0) {
+    const bool few = found->batch.lanes <= loaded.multiprocessors && loaded.shared_alone > 0;
+    const long long together = few ? *alone : *threads, shared = few ? loaded.shared_alone : loaded.shared;
     long long grid = std::min<long long>({found->batch.lanes, *blocks * loaded.multiprocessors, loaded.grid});
     auto find = [&] { return scratch.Allocate(kCounter + grid * loaded.room * sizeof(double), kAlignment); };
     auto memory = find();
@@ -85,8 +94,8 @@ ffi::Error solve(CUstream stream, ffi::ScratchAllocator scratch, ffi::RemainingA
       long long numbers = loaded.room;
       void* arguments[] = {&found->batch, &room, &numbers, &taken};
       failure(cuda.cuMemsetD8Async(reinterpret_cast<unsigned long long>(taken), 0, kCounter, stream), "starting it") &&
-          failure(cuda.cuLaunchKernel(loaded.solve, static_cast<unsigned>(grid), 1, 1, static_cast<unsigned>(*threads),
-                                      1, 1, static_cast<unsigned>(loaded.shared), stream, arguments, nullptr),
+          failure(cuda.cuLaunchKernel(loaded.solve, static_cast<unsigned>(grid), 1, 1, static_cast<unsigned>(together),
+                                      1, 1, static_cast<unsigned>(shared), stream, arguments, nullptr),
                   "launching it");
     }
   }

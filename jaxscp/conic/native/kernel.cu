@@ -3,16 +3,18 @@
 
 using namespace jaxscp;
 
-// Numbers that a program and its solver take, what ``Batch`` is to look like, and bytes that a block's threads share.
+// Numbers that a program and its solver take, what ``Batch`` is to look like, and bytes that a block's threads share:
+// those of one among others, and of one that has a multiprocessor to itself.
 extern "C" __global__ void jaxscp_room(long long* found) {
   Arena counting;
   Program program(kLayout, counting);
   InteriorPoint solver(program, Settings{}, counting);
   found[0] = counting.used(), found[1] = kVersion, found[2] = sizeof(Batch);
-  found[3] = kSharedRoom * sizeof(double);
+  found[3] = shared_room_of(JAXSCP_THREADS / kWarp) * sizeof(double);
+  found[4] = shared_room_of(JAXSCP_ALONE / kWarp) * sizeof(double);
 }
 
-extern "C" __global__ void __launch_bounds__(kThreads, JAXSCP_BLOCKS)
+extern "C" __global__ void __launch_bounds__(JAXSCP_ALONE, JAXSCP_THREADS * JAXSCP_BLOCKS / JAXSCP_ALONE)
     jaxscp_solve(const __grid_constant__ Batch batch, double* room, long long numbers, unsigned long long* taken) {
   // One for the block: with one for each thread, where its arrays are would be read more often than what is in them.
   alignas(16) __shared__ char program_room[sizeof(Program)], solver_room[sizeof(InteriorPoint)];

@@ -176,27 +176,29 @@ class Nodes {
   template <int S>
   JAXSCP_CALLED void times_inverses(Packs from) {
     static_assert(2 * n * kSides <= kPassed);
-    share_among_teams(kWarps, [&](int w) {
+    share_among_teams(warps(), [&](int w) {
       const int lane = lane_of_warp();
-      auto room = [&](int p) { return tile_of_warp() + p / kWarps % 2 * kTriangle; };
-      auto begin = [&](int p) { fetch(room(p), &factors_[p * kTriangle], p < nodes ? kTriangle : 0); };
-      begin(w);
+      auto begin = [&](double* room, int p) { fetch(room, &factors_[p * kTriangle], p < nodes ? kTriangle : 0); };
+      double *room = tile_of_warp(), *other = room + kTriangle;
+      begin(room, w);
 #pragma unroll 1
-      for (int p = w; p < nodes; p += kWarps) {
+      for (int p = w; p < nodes; p += warps()) {
         double *v = passed(), *u = passed() + n * S;
-        begin(p + kWarps);
+        begin(other, p + warps());
         in_team(n * S, [&](int k) { v[k] = from.of(p, n * kSides)[k]; });
         wait_for_fetched<1>();
-        times_transposed<S, n>(room(p), v, u);
+        times_transposed<S, n>(room, v, u);
         if (lane < n) {
           double part[2][S] = {};  // in turn: neither waits for the one before
 #pragma unroll
           for (int j = 0; j < n; ++j)
             if (j >= lane)
-              for (int s = 0; s < S; ++s) part[j % 2][s] += room(p)[j * (j + 1) / 2 + lane] * u[j * S + s];
+              for (int s = 0; s < S; ++s) part[j % 2][s] += room[j * (j + 1) / 2 + lane] * u[j * S + s];
           for (int s = 0; s < S; ++s) found(p)[s * n + lane] = part[0][s] + part[1][s];
         }
         __syncwarp();
+        double* last = room;
+        room = other, other = last;
       }
       wait_for_fetched<0>();
     });

@@ -1,5 +1,5 @@
-// What the warps of a block have in shared memory: a tile each for what they eliminate, numbers that their lanes pass
-// to each other, and what the chain's two warps fetch ahead of its use.
+// What the warps of a block have in shared memory: numbers that the lanes of each pass to each other, a tile each for
+// what they eliminate, and what the chain's two warps fetch ahead of its use.
 #pragma once
 
 #include "layout.h"
@@ -9,11 +9,6 @@ namespace jaxscp {
 
 constexpr int larger_of(int a, int b) { return a > b ? a : b; }
 constexpr int kPassed = 4 * larger_of(kLayout.n, kLayout.m);
-inline double* passed() {
-  alignas(16) __shared__ double numbers[kWarps][kPassed];
-  return numbers[warp_of_block()];
-}
-
 constexpr int even(int count) { return (count + 1) / 2 * 2; }  // what can be fetched
 // Of a node's factor; a tile has room for two.
 constexpr int kTriangle = even(kLayout.n * (kLayout.n + 1) / 2);
@@ -42,11 +37,13 @@ constexpr int kBlockSize = even(kLayout.m * kLayout.m);  // of a block by column
 constexpr int kFetched = 6;  // blocks of the chain that are in use or on their way
 constexpr int kAhead = larger_of(2 * kOfLink, kFetched * kBlockSize);  // of an end of the chain
 // Both ends are eliminated in tiles of two warps; what they fetch is where other warps have theirs.
-constexpr int kSharedRoom = larger_of(larger_of(kWarps, 2) * kTileSize, 2 * (kTileSize + kAhead));
+constexpr int shared_room_of(int warps) {
+  return warps * kPassed + larger_of(larger_of(warps, 2) * kTileSize, 2 * (kTileSize + kAhead));
+}
 
 #if defined(JAXSCP_EMULATED_GPU)
 inline double* shared_room() {
-  alignas(16) static double room[kSharedRoom];
+  alignas(16) static double room[shared_room_of(kMostWarps)];
   return room;
 }
 inline void fetch(double* to, const double* from, int count) {
@@ -83,7 +80,9 @@ inline void wait_for_fetched() {
 }
 #endif
 
-inline double* tile_of_warp() { return shared_room() + warp_of_block() * kTileSize; }
-inline double* ahead_of(int end) { return shared_room() + 2 * kTileSize + end * kAhead; }
+inline double* passed() { return shared_room() + warp_of_block() * kPassed; }
+inline double* tiles() { return shared_room() + warps() * kPassed; }
+inline double* tile_of_warp() { return tiles() + warp_of_block() * kTileSize; }
+inline double* ahead_of(int end) { return tiles() + 2 * kTileSize + end * kAhead; }
 
 }  // namespace jaxscp

@@ -25,9 +25,9 @@ struct Parts {
 #define JAXSCP_CALLED __noinline__
 
 constexpr int kWarp = 32;
-constexpr int kThreads = JAXSCP_THREADS;  // of a block
-
-constexpr int kWarps = kThreads / kWarp;
+// Warps of a block: at most so many, and how many there are is for who launches it to say.
+constexpr int kMostWarps = JAXSCP_ALONE / kWarp;
+inline int warps() { return static_cast<int>(blockDim.x) / kWarp; }
 constexpr unsigned kEvery = 0xffffffff;  // lane of the warp
 
 inline int lane_of_warp() { return threadIdx.x % kWarp; }
@@ -40,7 +40,7 @@ inline int common_warp() { return __shfl_sync(kEvery, warp_of_block(), 0); }
 template <typename Act>
 inline void share(int count, Act act) {
 #pragma unroll 1
-  for (int first = common_warp() * kWarp; first < count; first += kThreads)
+  for (int first = common_warp() * kWarp; first < count; first += warps() * kWarp)
     if (int i = first + lane_of_warp(); i < count) act(i);
   __syncthreads();
 }
@@ -52,15 +52,15 @@ inline void fill(int packs, int count, Place place, Value value) {
   constexpr int kAtOnce = 4;
   const int rounds = packs / kWarp, all = rounds * count;
 #pragma unroll 1
-  for (int first = common_warp(); first < all; first += kAtOnce * kWarps) {
+  for (int first = common_warp(); first < all; first += kAtOnce * warps()) {
     Pack found[kAtOnce];
     auto at = [&](int i) { return i % rounds * kWarp + lane_of_warp(); };
 #pragma unroll
     for (int k = 0; k < kAtOnce; ++k)
-      if (int i = first + k * kWarps; i < all) found[k] = value(at(i), i / rounds);
+      if (int i = first + k * warps(); i < all) found[k] = value(at(i), i / rounds);
 #pragma unroll
     for (int k = 0; k < kAtOnce; ++k)
-      if (int i = first + k * kWarps; i < all) place(at(i), i / rounds) = found[k];
+      if (int i = first + k * warps(); i < all) place(at(i), i / rounds) = found[k];
   }
   __syncthreads();
 }
@@ -75,7 +75,7 @@ template <typename Act>
 inline void visit(int packs, Parts parts, Act act) {
   const int rounds = (packs + kWarp - 1) / kWarp, rest = parts.single + parts.cones * kLanesOfCone;
 #pragma unroll 1
-  for (int i = common_warp(); i < rounds * (rest + parts.rest); i += kWarps) {
+  for (int i = common_warp(); i < rounds * (rest + parts.rest); i += warps()) {
     int k = i / rounds, p = i % rounds * kWarp + lane_of_warp();
     if (k >= rest) {
       k -= parts.cones * (kLanesOfCone - 1);
@@ -100,7 +100,7 @@ inline Pack once_of_cone(Pack v) { return lane_of_cone() == 0 ? v : 0.0; }
 template <typename Act>
 inline void share_among_teams(int count, Act act) {
 #pragma unroll 1
-  for (int p = common_warp(); p < count; p += kWarps) act(p);
+  for (int p = common_warp(); p < count; p += warps()) act(p);
   __syncthreads();
 }
 
@@ -147,7 +147,7 @@ inline void dismiss() {}
 // What act(p, k, found) joins to ``found``, which begins as ``first``, for all p < packs and parts k.
 template <typename Found, typename Act>
 inline Found fold(int packs, Parts parts, Found first, Act act) {
-  __shared__ Found of_warps[kWarps];
+  __shared__ Found of_warps[kMostWarps];
   Found total = first;
   visit(packs, parts, [&](int p, int k) { act(p, k, total); });
 #pragma unroll 1
@@ -160,7 +160,7 @@ inline Found fold(int packs, Parts parts, Found first, Act act) {
   __syncthreads();
   total = first;
 #pragma unroll 1
-  for (int w = 0; w < kWarps; ++w) total.join(of_warps[w]);
+  for (int w = 0; w < warps(); ++w) total.join(of_warps[w]);
   __syncthreads();
   return total;
 }

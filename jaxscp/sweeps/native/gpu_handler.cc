@@ -15,11 +15,11 @@ struct Loaded {
 
 // ``groups`` threads work on one of the several; ``threads`` are a block.
 ffi::Error sweep(CUstream stream, ffi::Buffer<ffi::F64> w, ffi::Buffer<ffi::F64> known,
-                 ffi::ResultBuffer<ffi::F64> outcomes, ffi::ResultBuffer<ffi::F64> jacobian,
+                 ffi::ResultBuffer<ffi::F64> first, ffi::ResultBuffer<ffi::F64> second,
                  ffi::Span<const uint8_t> image, std::string_view name, int64_t groups, int64_t threads) {
   const auto shape = w.dimensions();
   if (shape.size() < 2) return ffi::Error::InvalidArgument("a kernel made of a tape lacks an axis");
-  long long intervals = shape[shape.size() - 2];  // of a flight
+  long long of_one = shape[shape.size() - 2];  // flight
   long long count = static_cast<long long>(w.element_count()) / std::max<long long>(shape.back(), 1);
   const Driver& cuda = Driver::get();
   if (!cuda.found) return ffi::Error::Internal("the CUDA driver was not found, or is too old");
@@ -39,10 +39,10 @@ ffi::Error sweep(CUstream stream, ffi::Buffer<ffi::F64> w, ffi::Buffer<ffi::F64>
   if (blocks > INT32_MAX) return ffi::Error::InvalidArgument("a kernel has more to do than a GPU can be given");
   if (failure.code == 0 && blocks > 0) {
     const double *from = w.typed_data(), *by = known.typed_data();
-    double *to = outcomes->typed_data(), *slopes = jacobian->typed_data();
-    void* arguments[] = {&from, &by, &to, &slopes, &count, &intervals};
-    failure(cuda.cuLaunchKernel(loaded.kernel, static_cast<unsigned>(blocks), 1, 1, static_cast<unsigned>(threads), 1, 1,
-                                0, stream, arguments, nullptr),
+    double *to = first->typed_data(), *also_to = second->typed_data();
+    void* arguments[] = {&from, &by, &to, &also_to, &count, &of_one};
+    failure(cuda.cuLaunchKernel(loaded.kernel, static_cast<unsigned>(blocks), 1, 1, static_cast<unsigned>(threads), 1,
+                                1, 0, stream, arguments, nullptr),
             "launching it");
   }
   return failure.error();

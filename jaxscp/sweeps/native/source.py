@@ -42,7 +42,7 @@ inline const double* anew(const double* from) {
 // ``intervals`` of a flight share what is known of it; there are ``count`` in all.
 extern "C" __global__ void __launch_bounds__(@threads)
     jaxscp_kernel(const double* __restrict__ w, const double* __restrict__ known, double* __restrict__ outcomes,
-                 double* __restrict__ jacobian, long long count, long long intervals) {
+                  double* __restrict__ jacobian, long long count, long long intervals) {
   const long long thread = static_cast<long long>(blockIdx.x) * @threads + threadIdx.x;
   const long long interval = thread / kGroups;
   if (interval >= count) return;

@@ -1,0 +1,119 @@
+// A GPU's threads on a CPU: those of one block take turns, each until the next barrier. Slow, but what lanes pass to each
+// other, and which phase needs which to be done, is as on a GPU.
+#pragma once
+
+#include <ucontext.h>
+
+#include <cmath>
+#include <cstdio>
+#include <cstdlib>
+#include <functional>
+#include <memory>
+#include <vector>
+
+#define __CUDACC__
+#define __noinline__
+#define __global__
+#define __constant__ static const
+#define __shared__ static
+#define __grid_constant__
+#define __launch_bounds__(...)
+
+struct Index {
+  unsigned x = 0;
+};
+static Index threadIdx, blockIdx, blockDim;
+
+namespace emulated {
+
+constexpr int kWarpSize = 32;
+
+// A barrier: those who come wait for the rest.
+struct Barrier {
+  int size = 0, arrived = 0, round = 0;
+};
+
+std::vector<ucontext_t> fibers;
+std::vector<bool> ended;
+std::vector<Barrier> warps;
+Barrier block;
+ucontext_t scheduler;
+double passed[64][kWarpSize];
+std::function<void()> body;
+
+inline void wait(Barrier& barrier) {
+  int me = threadIdx.x, round = barrier.round;
+  if (++barrier.arrived == barrier.size) {
+    barrier.arrived = 0;
+    ++barrier.round;
+    return;
+  }
+  while (barrier.round == round) {
+    swapcontext(&fibers[me], &scheduler);
+    threadIdx.x = me;
+  }
+}
+
+inline void enter() {
+  int me = threadIdx.x;
+  body();
+  ended[me] = true;
+  swapcontext(&fibers[me], &scheduler);
+}
+
+// ``work`` by as many threads at once.
+inline void run(int threads, std::function<void()> work) {
+  constexpr size_t kStack = 1 << 18;
+  blockDim.x = threads;
+  std::vector<std::unique_ptr<char[]>> stacks;
+  fibers.assign(threads, {}), ended.assign(threads, false);
+  warps.assign(threads / kWarpSize, {kWarpSize}), block = {threads};
+  body = std::move(work);
+  for (auto& fiber : fibers) {
+    stacks.push_back(std::make_unique<char[]>(kStack));
+    getcontext(&fiber);
+    fiber.uc_stack.ss_sp = stacks.back().get(), fiber.uc_stack.ss_size = kStack, fiber.uc_link = nullptr;
+    makecontext(&fiber, enter, 0);
+  }
+  for (int left = threads; left > 0;) {
+    left = 0;
+    // each round begins with another thread, so that none is always first
+    static int turn = 0;
+    turn = (turn * 5 + 3) % threads;
+    for (int i = 0; i < threads; ++i) {
+      int t = (i + turn) % threads;
+      if (ended[t]) continue;
+      threadIdx.x = t;
+      swapcontext(&scheduler, &fibers[t]);
+      left += !ended[t];
+    }
+  }
+}
+
+}  // namespace emulated
+
+inline void __syncthreads() { emulated::wait(emulated::block); }
+inline void __syncwarp() { emulated::wait(emulated::warps[threadIdx.x / emulated::kWarpSize]); }
+inline double exchanged(double v, int from) {
+  double(&slots)[emulated::kWarpSize] = emulated::passed[threadIdx.x / emulated::kWarpSize];
+  slots[threadIdx.x % emulated::kWarpSize] = v;
+  __syncwarp();
+  double found = slots[from];
+  __syncwarp();
+  return found;
+}
+template <typename T>
+inline T __shfl_sync(unsigned, T v, int from) {
+  return static_cast<T>(exchanged(static_cast<double>(v), from));
+}
+inline double __shfl_xor_sync(unsigned, double v, int apart) {
+  return exchanged(v, threadIdx.x % emulated::kWarpSize ^ apart);
+}
+inline double rsqrt(double v) { return 1.0 / std::sqrt(v); }
+inline unsigned long long atomicAdd(unsigned long long* at, unsigned long long by) {
+  unsigned long long before = *at;
+  *at += by;
+  return before;
+}
+static double __ldg(const double* at) { return *at; }
+using std::cos, std::exp, std::fabs, std::fma, std::log, std::sin, std::sqrt, std::tanh;
