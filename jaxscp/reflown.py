@@ -2,11 +2,10 @@
 not use, and differentiated in reverse."""
 
 import jax
-import numpy as np
 from jaxtyping import Array, Float
 
-from jaxscp import runge_kutta
 from jaxscp.discretise import interval_inputs
+from jaxscp.flown.method import eighth_order
 from jaxscp.intervals import Grid, Outputs, given, intervals_of, outputs
 from jaxscp.lagrangian import lagrangian
 from jaxscp.multipliers import FlightMultipliers
@@ -24,16 +23,5 @@ def reflown_gradient(
 def reflown(problem: OptimalControlProblem, z: Float[Array, "nodes variables"], grid: Grid) -> Outputs:
     """What ``intervals.evaluate`` says, by one step of the method for every stretch between two points."""
     ours = intervals_of(problem, grid)
-    theirs = Intervals(ours.rate, ours.states, _eighth_order(), grid.points, 1, ours.watch)
+    theirs = Intervals(ours.rate, ours.states, eighth_order(), grid.points, 1, ours.watch)
     return outputs(problem, in_jax.outcomes(theirs, interval_inputs(problem, z), given(problem, grid)))
-
-
-def _eighth_order() -> runge_kutta.Method:
-    """Dormand and Prince's, by diffrax's table."""
-    from diffrax import Dopri8  # slow to import
-
-    tableau = Dopri8.tableau
-    table = np.zeros((tableau.num_stages, tableau.num_stages))
-    for stage, row in enumerate(tableau.a_lower, start=1):
-        table[stage, :stage] = row
-    return runge_kutta.Method(np.append(0.0, tableau.c), np.asarray(tableau.b_sol), table)

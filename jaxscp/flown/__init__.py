@@ -1,6 +1,7 @@
 """Planned controls flown from the initial state to the end, by an adaptive eighth-order method at tight tolerance.
 
     accuracy.py   how accurately
+    method.py     Dormand and Prince's table
     in_jax.py     by diffrax
     kernel.py     by a kernel for NVIDIA GPUs, which ``source.py`` writes from the tape of the dynamics
 

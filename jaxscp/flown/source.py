@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from jaxscp.flown.accuracy import FIRST_STEP, TOLERANCE, most_steps
+from jaxscp.flown.method import eighth_order
 from jaxscp.sweeps.functions import Function
-from jaxscp.sweeps.native.statements import COMPARISONS, Scope, filled, known, literal, numbered
+from jaxscp.sweeps.native.statements import COMPARISONS, Numbers, Scope, filled, literal, numbered
 
 LANES = 32
 THREADS = 128  # of a block
@@ -139,34 +140,25 @@ def kernel(slope: Function, intervals: int, samples: int) -> str:
     """The kernel's text, for a slope of states and controls."""
     from diffrax import Dopri8  # slow to import
 
-    tableau, dense = Dopri8.tableau, Dopri8.interpolation_cls.eval_coeffs
-    stages = tableau.num_stages
-    table = np.zeros((stages, stages))
-    for stage, row in enumerate(tableau.a_lower, start=1):
-        table[stage, :stage] = row
-    numbers: dict[str, Any] = {"lanes": LANES, "threads": THREADS, "stages": stages}
+    method, spelled = eighth_order(), numbered(slope)
+    error, dense = Dopri8.tableau.b_error, np.asarray(Dopri8.interpolation_cls.eval_coeffs)
+    numbers: dict[str, Any] = {"lanes": LANES, "threads": THREADS, "stages": method.stages}
     numbers |= {"states": slope.values, "controls": slope.arguments - slope.values}
     numbers |= {"intervals": intervals, "samples": samples, "most": most_steps(intervals)}
     numbers |= {"tolerance": literal(TOLERANCE), "first_step": literal(FIRST_STEP)}
-    numbers |= {"table": ", ".join(f"{{{_row(row)}}}" for row in table)}
-    numbers |= {"shares": _row([0.0, *tableau.c]), "error": _row(tableau.b_error)}
-    numbers |= {"known": len(known(slope.first, slope.arguments + slope.values))}
-    numbers |= {"slope": "\n".join(f"    {line}" for line in _slope(slope))}
-    numbers |= {"weights": "\n".join(f"          {line}" for line in _weights(np.asarray(dense)))}
+    numbers |= {"table": ", ".join(f"{{{_row(row)}}}" for row in method.table)}
+    numbers |= {"shares": _row(method.shares), "error": _row(error), "known": len(spelled.known)}
+    numbers |= {"slope": "\n".join(f"    {line}" for line in _slope(slope, spelled))}
+    numbers |= {"weights": "\n".join(f"          {line}" for line in _weights(dense))}
     return filled(COMPARISONS + _TEXT, numbers)
 
 
-def _slope(slope: Function) -> Iterator[str]:
-    n, prices = slope.values, slope.arguments + slope.values
-    places = {place: i for i, place in enumerate(known(slope.first, prices))}
-    constants = enumerate(slope.first.constants.tolist(), start=prices + len(slope.first.parameters))
-    names = {place: literal(value) for place, value in constants}
+def _slope(slope: Function, numbers: Numbers) -> Iterator[str]:
+    n = slope.values
     for k in range(slope.arguments):
         value = f"f.stage[{k}]" if k < n else f"u[{k - n}] + share * (u[kControls + {k - n}] - u[{k - n}])"
-        names[k] = f"a{k}"
         yield f"const double a{k} = {value};"
-    numbers = numbered(slope.first)
-    scope = Scope(numbers, places, names, "v")
+    scope = Scope(numbers, [f"a{k}" for k in range(slope.arguments)], "v")
     for r, number in enumerate(numbers.outputs):
         yield from scope.make(number)
         yield f"if (lane == {r} % kLanes) to[{r}] = by * {scope.names[number]};"

@@ -57,12 +57,11 @@ def record(intervals: Intervals, inputs: int, columns: int = COLUMNS) -> Kernel:
 
 def known_of(slopes: Function) -> Float[Array, "numbers"]:
     """What a kernel reads of a flight, in its order."""
-    inputs = slopes.arguments + slopes.values
-    places = statements.known(slopes.first, inputs)
+    places = statements.known(slopes)
     once = slopes.first._replace(
         operations=slopes.first.operations[: slopes.first.once], outputs=np.array(places, int)
     )
-    nothing = [jnp.zeros(())] * inputs  # is read of the arguments
+    nothing = [jnp.zeros(())] * (slopes.arguments + slopes.values)  # is read of the arguments
     found = played.play(once, nothing, slopes.parameters[0])
     return jnp.stack(found) if found else jnp.zeros(0)
 

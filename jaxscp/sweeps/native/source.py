@@ -13,7 +13,7 @@ from collections.abc import Iterator
 
 from jaxscp.runge_kutta import Method
 from jaxscp.sweeps.functions import Function
-from jaxscp.sweeps.native.statements import COMPARISONS, Scope, filled, known, literal, numbered
+from jaxscp.sweeps.native.statements import COMPARISONS, Scope, filled, literal, numbered
 
 THREADS = 128  # of a block
 
@@ -104,11 +104,7 @@ class _Kernel:
         self.slopes, self.n, self.method, self.steps = slopes, states, method, steps
         self.m, self.rows = slopes.arguments - states, slopes.values
         self.inputs = states + 2 * self.m
-        self.numbers = numbered(slopes.first)
-        before = slopes.arguments + slopes.values  # prices of values, which nothing has here
-        self.known = {place: i for i, place in enumerate(known(slopes.first, before))}
-        constants = enumerate(slopes.first.constants.tolist(), start=before + len(slopes.first.parameters))
-        self.constants = {place: literal(value) for place, value in constants}
+        self.numbers = numbered(slopes)
         self.entries: list[list[tuple[int, int]]] = [[] for _ in range(self.rows)]
         """By row of the Jacobian: column, and number."""
         entries = zip(slopes.jacobian.tolist(), self.numbers.outputs[self.rows :], strict=True)
@@ -121,7 +117,7 @@ class _Kernel:
         """All of it."""
         n = self.n
         numbers = {"columns": columns, "groups": groups(self.inputs, columns), "inputs": self.inputs}
-        numbers |= {"rows": self.rows, "known": len(self.known), "threads": THREADS}
+        numbers |= {"rows": self.rows, "known": len(self.numbers.known), "threads": THREADS}
         yield filled(COMPARISONS + _BEGIN, numbers)
         for r in range(self.rows):
             yield f"  double x{r} = {f'w[{r}]' if r < n else '0.0'};"
@@ -152,7 +148,7 @@ class _Kernel:
         """The slopes and their tangents, row by row."""
         n, m = self.n, self.m
         arguments = [*(self.at(stage, r) for r in range(n)), *(f"u{stage}_{k}" for k in range(m))]
-        scope = Scope(self.numbers, self.known, self.constants | dict(enumerate(arguments)), f"v{stage}_")
+        scope = Scope(self.numbers, arguments, f"v{stage}_")
         yield "known = anew(known), w = anew(w);"
         for k in range(m):
             first, last = f"__ldg(w + {n + k})", f"__ldg(w + {n + m + k})"

@@ -5,10 +5,11 @@ found once a flight, outside of the kernel, and read where it is needed.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from jaxscp.sweeps import tape
+from jaxscp.sweeps.functions import Function
 
 COMPARISONS = """\
 // no number stays none, whichever it is
@@ -39,15 +40,20 @@ _FORMS = {
 _BY_CODE = {tape.CODES[name]: form for name, form in _FORMS.items()}
 
 
-def known(t: tape.Tape, inputs: int) -> list[int]:
+def known(function: Function) -> list[int]:
     """Places of what depends on no argument and is no constant, as far as what does depend on one reads it.
 
     Nothing else is ever put there.
     """
+    t, inputs = function.first, _inputs(function)
     of_parameters = range(inputs, inputs + len(t.parameters))
     found = {*of_parameters, *t.operations[: t.once, 1].tolist()}
     read = {place for code, _, *places in t.operations[t.once :].tolist() for place in _read(code, places)}
     return sorted(found & (read | set(t.outputs.tolist())))
+
+
+def _inputs(function: Function) -> int:
+    return function.arguments + function.values  # of which each has a price, which nothing here reads
 
 
 def _read(code: int, operands: list[int]) -> list[int]:
@@ -61,23 +67,32 @@ class Numbers(NamedTuple):
     operations: dict[int, tuple[int, list[int]]]
     """By number: the code of what makes it, and what that reads."""
     outputs: list[int]
+    known: dict[int, int]
+    """By place: which of ``known`` is there."""
+    constants: dict[int, str]
+    """By place: the constant that is there."""
 
 
-def numbered(t: tape.Tape) -> Numbers:
-    """Those of a tape."""
+def numbered(function: Function) -> Numbers:
+    """Those of a function without data, and of its Jacobian."""
+    t = function.first
     at = {place: place for place in range(t.places)}  # places serve again
     operations = {}
     for number, (code, to, *places) in enumerate(t.operations[t.once :].tolist(), start=t.places):
         operations[number] = code, [at[v] for v in _read(code, places)]
         at[to] = number
-    return Numbers(operations, [at[v] for v in t.outputs.tolist()])
+    places = {place: i for i, place in enumerate(known(function))}
+    constants = enumerate(t.constants.tolist(), start=_inputs(function) + len(t.parameters))
+    spelled = {place: literal(value) for place, value in constants}
+    return Numbers(operations, [at[v] for v in t.outputs.tolist()], places, spelled)
 
 
 class Scope:
     """Names of numbers. One without is read or made when it is needed, after what it is made of."""
 
-    def __init__(self, numbers: Numbers, known: dict[int, int], names: dict[int, str], prefix: str) -> None:
-        self.numbers, self.known, self.names, self.prefix = numbers, known, names, prefix
+    def __init__(self, numbers: Numbers, arguments: Sequence[str], prefix: str) -> None:
+        self.numbers, self.prefix = numbers, prefix
+        self.names = numbers.constants | dict(enumerate(arguments))
 
     def make(self, number: int) -> Iterator[str]:
         """Statements after which it has a name."""
@@ -97,8 +112,8 @@ class Scope:
 
     def value(self, number: int) -> str:
         """It, by what has a name."""
-        if number in self.known:
-            return f"__ldg(known + {self.known[number]})"
+        if number in self.numbers.known:
+            return f"__ldg(known + {self.numbers.known[number]})"
         code, read = self.numbers.operations[number]
         return _BY_CODE[code].format(*(self.names[v] for v in read))
 
