@@ -4,25 +4,15 @@
 
 #include <ucontext.h>
 
-#include <cmath>
 #include <cstdio>
 #include <cstdlib>
 #include <functional>
 #include <memory>
 #include <vector>
 
-#define __CUDACC__
-#define __noinline__
-#define __global__
-#define __constant__ static const
-#define __shared__ static
-#define __grid_constant__
-#define __launch_bounds__(...)
+#include "cuda_words.h"
 
-struct Index {
-  unsigned x = 0;
-};
-static Index threadIdx, blockIdx, blockDim;
+#define __CUDACC__
 
 namespace emulated {
 
@@ -115,5 +105,3 @@ inline unsigned long long atomicAdd(unsigned long long* at, unsigned long long b
   *at += by;
   return before;
 }
-static double __ldg(const double* at) { return *at; }
-using std::cos, std::exp, std::fabs, std::fma, std::log, std::sin, std::sqrt, std::tanh;

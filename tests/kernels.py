@@ -38,3 +38,20 @@ def handler() -> str:
         compile_here(HERE / "sweep_on_a_cpu.cc", library)
         assert libraries.register(ctypes.CDLL(str(library)), kernel.TARGET, target=name)
     return name
+
+
+def compiled(text: str, folder: Path, words: str = "threads_on_a_cpu.h") -> bytes:
+    """What stands for a kernel's machine code: the file of its library, with CUDA's words from a header."""
+    source, library = folder / "kernel.cc", folder / "kernel.so"
+    source.write_text(text)
+    compile_here(source, library, "-include", words)
+    return str(library).encode()
+
+
+def as_on_a_gpu(monkeypatch, module) -> None:
+    """As on a machine with a GPU, to trace there; a module's kernels have any image."""
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    monkeypatch.setattr(cuda, "capability", lambda: "90")
+    monkeypatch.setattr(cuda, "launches", lambda _: True)
+    monkeypatch.setattr(cuda, "compiler", lambda: "one")
+    monkeypatch.setattr(module, "image", lambda *_: b"an image")

@@ -12,9 +12,8 @@ import jaxscp
 from jaxscp import flown, libraries
 from jaxscp.dynamics import Dynamics
 from jaxscp.flown import in_jax, kernel, source
-from jaxscp.libraries import cuda
 from jaxscp.sweeps import kernel as sweep_kernel
-from tests.kernels import compile_here, handler, needs_compiler, needs_nvidia
+from tests.kernels import as_on_a_gpu, compiled, handler, needs_compiler, needs_nvidia
 
 NODES, SAMPLES = 4, 7
 AGREEMENT = 1e-8  # of two flights whose steps have errors of 1e-10 each
@@ -58,10 +57,7 @@ def flown_by(together, tmp_path):
 
     def states(dynamics, start, control, dilation, samples=SAMPLES):
         slope = kernel.record(dynamics)
-        text, library = tmp_path / "kernel.cc", tmp_path / "kernel.so"
-        text.write_text(source.kernel(slope, dilation.shape[0] - 1, samples))
-        compile_here(text, library, "-include", words[together])
-        code = str(library).encode()
+        code = compiled(source.kernel(slope, dilation.shape[0] - 1, samples), tmp_path, words[together])
         return kernel.states(dynamics, slope, code, together, samples, start, control, dilation)
 
     return states
@@ -184,11 +180,7 @@ def test_a_gpu_runs_the_kernel_where_there_is_one(monkeypatch):
     """As on a machine with a GPU: each device flies its own way."""
     start, control, dilation = (v[0] for v in flights(1))
     assert kernel.flight(BODY, start, control, SAMPLES) is None
-    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    monkeypatch.setattr(cuda, "capability", lambda: "90")
-    monkeypatch.setattr(cuda, "launches", lambda _: True)
-    monkeypatch.setattr(cuda, "compiler", lambda: "one")
-    monkeypatch.setattr(kernel, "image", lambda *_: b"an image")
+    as_on_a_gpu(monkeypatch, kernel)
 
     def calls(platform, dynamics, start, control):
         states = jnp.zeros((NODES, dynamics.state_size)).at[0].set(start)

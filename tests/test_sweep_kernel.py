@@ -9,10 +9,9 @@ import pytest
 
 from jaxscp import runge_kutta, sweeps
 from jaxscp.discretise import METHOD, interval_inputs
-from jaxscp.libraries import cuda
 from jaxscp.sweeps import Intervals, Watch, in_jax, kernel, without_data
 from tests.flights import random_nodes, short_problem
-from tests.kernels import compile_here, handler, needs_compiler, needs_nvidia
+from tests.kernels import as_on_a_gpu, compiled, handler, needs_compiler, needs_nvidia
 from tests.test_sweeps import RATES, Everything, Watched, assert_same, case
 
 
@@ -24,10 +23,7 @@ def emulated(tmp_path, monkeypatch):
     def passed(columns):
         def linear(intervals, w, _):
             found = kernel.record(intervals, w.shape[-1], columns)
-            source, library = tmp_path / "kernel.cc", tmp_path / "kernel.so"
-            source.write_text(found.text)
-            compile_here(source, library, "-include", "threads_on_a_cpu.h")
-            return kernel.sweep(intervals, found, str(library).encode(), w)
+            return kernel.sweep(intervals, found, compiled(found.text, tmp_path), w)
 
         return linear
 
@@ -127,11 +123,7 @@ def test_a_gpu_runs_the_kernel_and_other_devices_do_not(monkeypatch):
     """As on a machine with a GPU: each device takes its own pass."""
     intervals, w, data = case(*RATES["every operation"], runge_kutta.CLASSICAL, order=1, watch=False)
     assert not kernel.serves(intervals, w)
-    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    monkeypatch.setattr(cuda, "capability", lambda: "90")
-    monkeypatch.setattr(cuda, "launches", lambda _: True)
-    monkeypatch.setattr(cuda, "compiler", lambda: "one")
-    monkeypatch.setattr(kernel, "image", lambda *_: b"an image")
+    as_on_a_gpu(monkeypatch, kernel)
 
     def calls(platform, intervals, w, data):
         traced = jax.jit(jax.vmap(lambda w: sweeps.linear(intervals, w, data))).trace(w[None])

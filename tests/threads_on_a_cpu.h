@@ -1,20 +1,7 @@
 // A GPU's threads on a CPU, one after another, for kernels that are written from tapes: none waits for another.
 #pragma once
 
-#include <cmath>
-
-#define __global__
-#define __constant__ static const
-#define __shared__ static
-#define __launch_bounds__(threads)
-
-struct Index {
-  unsigned x = 0;
-};
-static Index threadIdx, blockIdx;
-
-static double __ldg(const double* at) { return *at; }
-using std::cos, std::exp, std::fabs, std::fma, std::log, std::sin, std::sqrt, std::tanh;
+#include "cuda_words.h"
 
 extern "C" void jaxscp_kernel(const double* w, const double* known, double* outcomes, double* jacobian, long long count,
                               long long intervals);
