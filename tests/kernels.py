@@ -12,7 +12,7 @@ import pytest
 
 from jaxscp import libraries
 from jaxscp.libraries import cuda
-from jaxscp.sweeps import kernel
+from jaxscp.sweeps import launch
 
 HERE = Path(__file__).parent
 COMPILER = shutil.which("g++")
@@ -36,7 +36,7 @@ def handler() -> str:
     with tempfile.TemporaryDirectory() as folder:
         library = Path(folder) / "handler.so"
         compile_here(HERE / "sweep_on_a_cpu.cc", library)
-        assert libraries.register(ctypes.CDLL(str(library)), kernel.TARGET, target=name)
+        assert libraries.register(ctypes.CDLL(str(library)), launch.TARGET, target=name)
     return name
 
 
@@ -48,10 +48,10 @@ def compiled(text: str, folder: Path, words: str = "threads_on_a_cpu.h") -> byte
     return str(library).encode()
 
 
-def as_on_a_gpu(monkeypatch, module) -> None:
-    """As on a machine with a GPU, to trace there; a module's kernels have any image."""
+def as_on_a_gpu(monkeypatch) -> None:
+    """As on a machine with a GPU, to trace there; kernels have any image."""
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     monkeypatch.setattr(cuda, "capability", lambda: "90")
     monkeypatch.setattr(cuda, "launches", lambda _: True)
     monkeypatch.setattr(cuda, "compiler", lambda: "one")
-    monkeypatch.setattr(module, "image", lambda *_: b"an image")
+    monkeypatch.setattr(launch, "image", lambda *_: b"an image")

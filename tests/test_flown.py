@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import jaxscp
-from jaxscp import flown, libraries
+from jaxscp import flown
 from jaxscp.dynamics import Dynamics
 from jaxscp.flown import in_jax, kernel, source
-from jaxscp.sweeps import kernel as sweep_kernel
+from jaxscp.sweeps import launch
 from tests.kernels import as_on_a_gpu, compiled, handler, needs_compiler, needs_nvidia
 
 NODES, SAMPLES = 4, 7
@@ -66,14 +66,14 @@ def flown_by(together, tmp_path):
 @pytest.fixture
 def emulated(tmp_path, monkeypatch):
     """The kernel by a lane alone."""
-    monkeypatch.setattr(sweep_kernel, "TARGET", handler())
+    monkeypatch.setattr(launch, "TARGET", handler())
     return flown_by(1, tmp_path)
 
 
 @needs_compiler
 def test_lanes_fly_together(tmp_path, monkeypatch):
     """More states and samples than lanes, and more flights than a block has."""
-    monkeypatch.setattr(sweep_kernel, "TARGET", handler())
+    monkeypatch.setattr(launch, "TARGET", handler())
     count, size, samples = 1 + source.THREADS // source.LANES, Many.state_size, 2 * source.LANES + 5
     start = jax.random.normal(jax.random.key(1), (count, size))
     given = start, jnp.ones((count, 3, 1)), jnp.full((count, 3), 1.5)
@@ -158,7 +158,7 @@ def test_a_kernel_of_other_dynamics_flies_nothing(emulated, monkeypatch):
 @pytest.mark.parametrize("capability", ["80", "90"])
 def test_kernel_compiles(capability):
     text = source.kernel(kernel.record(BODY), NODES - 1, SAMPLES)
-    assert kernel.image(text, capability, "the flight").startswith(b"\x7fELF")
+    assert launch.image(text, capability, "the flight").startswith(b"\x7fELF")
 
 
 def test_an_interval_has_two_samples_at_least():
@@ -180,13 +180,13 @@ def test_a_gpu_runs_the_kernel_where_there_is_one(monkeypatch):
     """As on a machine with a GPU: each device flies its own way."""
     start, control, dilation = (v[0] for v in flights(1))
     assert kernel.flight(BODY, start, control, SAMPLES) is None
-    as_on_a_gpu(monkeypatch, kernel)
+    as_on_a_gpu(monkeypatch)
 
     def calls(platform, dynamics, start, control):
         states = jnp.zeros((NODES, dynamics.state_size)).at[0].set(start)
         trajectory = jaxscp.Trajectory(dilation, states, control, dilation)
         traced = jax.jit(functools.partial(flown.states, dynamics, samples=SAMPLES)).trace(trajectory)
-        return libraries.SWEEP.on_gpu in traced.lower(lowering_platforms=(platform,)).as_text()
+        return launch.TARGET in traced.lower(lowering_platforms=(platform,)).as_text()
 
     assert calls("cuda", BODY, start, control)
     assert not calls("cpu", BODY, start, control)

@@ -9,7 +9,7 @@ import pytest
 
 from jaxscp import runge_kutta, sweeps
 from jaxscp.discretise import METHOD, interval_inputs
-from jaxscp.sweeps import Intervals, Watch, in_jax, kernel, without_data
+from jaxscp.sweeps import Intervals, Watch, in_jax, kernel, launch, without_data
 from tests.flights import random_nodes, short_problem
 from tests.kernels import as_on_a_gpu, compiled, handler, needs_compiler, needs_nvidia
 from tests.test_sweeps import RATES, Everything, Watched, assert_same, case
@@ -18,7 +18,7 @@ from tests.test_sweeps import RATES, Everything, Watched, assert_same, case
 @pytest.fixture
 def emulated(tmp_path, monkeypatch):
     """The pass by the kernel of some intervals, with so many columns a thread."""
-    monkeypatch.setattr(kernel, "TARGET", handler())
+    monkeypatch.setattr(launch, "TARGET", handler())
 
     def passed(columns):
         def linear(intervals, w, _):
@@ -108,7 +108,7 @@ def test_no_number_stays_none(emulated):
 @pytest.mark.parametrize("capability", ["80", "90"])
 def test_kernel_compiles(capability):
     intervals, w, _ = case(*RATES["every operation"], runge_kutta.CLASSICAL, order=1, watch=False)
-    image = kernel.image(kernel.record(intervals, w.shape[1]).text, capability)
+    image = launch.image(kernel.record(intervals, w.shape[1]).text, capability, "the sweep")
     assert image is not None
     assert image.startswith(b"\x7fELF")
 
@@ -116,18 +116,18 @@ def test_kernel_compiles(capability):
 @needs_nvidia
 def test_a_kernel_that_does_not_compile_is_left_to_jax():
     with pytest.warns(UserWarning, match="sweep's kernel does not compile, and it runs as JAX"):
-        assert kernel.image("no text of a kernel", "90") is None
+        assert launch.image("no text of a kernel", "90", "the sweep") is None
 
 
 def test_a_gpu_runs_the_kernel_and_other_devices_do_not(monkeypatch):
     """As on a machine with a GPU: each device takes its own pass."""
     intervals, w, data = case(*RATES["every operation"], runge_kutta.CLASSICAL, order=1, watch=False)
     assert not kernel.serves(intervals, w)
-    as_on_a_gpu(monkeypatch, kernel)
+    as_on_a_gpu(monkeypatch)
 
     def calls(platform, intervals, w, data):
         traced = jax.jit(jax.vmap(lambda w: sweeps.linear(intervals, w, data))).trace(w[None])
-        return kernel.TARGET in traced.lower(lowering_platforms=(platform,)).as_text()
+        return launch.TARGET in traced.lower(lowering_platforms=(platform,)).as_text()
 
     assert calls("cuda", intervals, w, data)
     assert not calls("cpu", intervals, w, data)

@@ -15,9 +15,8 @@ from jaxscp import libraries
 from jaxscp.dynamics import Dynamics
 from jaxscp.flown import source
 from jaxscp.libraries import cuda
-from jaxscp.sweeps import functions, tracing
+from jaxscp.sweeps import functions, launch, tracing
 from jaxscp.sweeps.functions import Function
-from jaxscp.sweeps.kernel import image, kernels, known_of, launched
 
 AGREEMENT = 1e-9  # of slopes: far above rounding
 
@@ -28,13 +27,13 @@ def flight(
     """What flies, as a function of (start, control, dilation), on JAX's default device; None where that is no GPU or
     has no kernel for it."""
     here = cuda.capability()
-    if here is None or not kernels() or not libraries.in_float64((start, control)):
+    if here is None or not launch.available() or not libraries.in_float64((start, control)):
         return None
     try:
         slope = record(dynamics)
     except tracing.CannotTrace:
         return None
-    code = image(source.kernel(slope, control.shape[0] - 1, samples), here, "the flight")
+    code = launch.image(source.kernel(slope, control.shape[0] - 1, samples), here, "the flight")
     return None if code is None else functools.partial(states, dynamics, slope, code, source.LANES, samples)
 
 
@@ -66,7 +65,9 @@ def states(
     intervals, n = dilation.shape[0] - 1, start.shape[0]
     w = jnp.concatenate([start, control.ravel(), dilation])[None]
     shapes = (1, intervals, samples, n), (1, intervals, n)
-    found, slopes = (v[0] for v in launched(machine_code, w, known_of(slope), shapes, lanes, source.THREADS))
+    found, slopes = (
+        v[0] for v in launch.call(machine_code, w, launch.known_of(slope), shapes, lanes, source.THREADS)
+    )
     expected = jax.vmap(dynamics)(found[:, 0], control[:-1]) * dilation[:-1, None] / intervals
     lacks, sizes = (jnp.max(jnp.abs(v), axis=1) for v in (slopes - expected, expected))
     same = lacks <= AGREEMENT * (1.0 + sizes)

@@ -10,8 +10,8 @@ In the order in which they build on each other:
     functions.py  the tapes of a function and its derivatives
     compiled.py   the pass in C++, which plays such tapes, for CPUs; native/ is the C++
     played.py     the pass in JAX that plays them, for other devices
-    kernel.py     the pass as one kernel made of them, for NVIDIA GPUs; native/source.py writes it, and
-                  native/statements.py what any kernel has of a tape
+    launch.py     kernels for NVIDIA GPUs, made of them, whatever they do; native/statements.py writes what is of a tape
+    kernel.py     the pass as such a kernel; native/source.py writes it
     passes.py     which of these is taken
 """
 

@@ -14,7 +14,7 @@ import jax
 from jaxtyping import Array, Float
 
 from jaxscp.libraries import choose, cuda
-from jaxscp.sweeps import compiled, in_jax, kernel, played, tracing
+from jaxscp.sweeps import compiled, in_jax, kernel, launch, played, tracing
 from jaxscp.sweeps.intervals import Given, Intervals, Outcome
 
 
@@ -99,5 +99,5 @@ def _by_kernel(intervals: Intervals, w: Array) -> Callable[..., Any] | None:
         found = kernel.record(intervals, w.shape[-1])
     except tracing.CannotTrace:
         return None
-    image = kernel.image(found.text, capability)
+    image = launch.image(found.text, capability, "the sweep")
     return None if image is None else lambda w, _: kernel.sweep(intervals, found, image, w)
