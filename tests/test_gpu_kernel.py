@@ -35,7 +35,13 @@ SHAPES = {
     "quadratic cost, no cones": {"nodes": 4, "cones": 0, "norm": False},
     "more rows than lanes": {"nodes": 2, "variables": 20, "rows": 2},
     "a lane a row, and an odd column left": {"nodes": 3, "variables": 17, "rows": 2},
+    # of a nearly diagonal Hessian, with so many variables tied to each other
+    "three tied": {"nodes": 5, "variables": 10, "rows": 4, "cones": 1, "tied": 3},
+    "none tied": {"nodes": 3, "variables": 6, "rows": 3, "cones": 0, "tied": 1},
+    "two tied, no norm": {"nodes": 3, "variables": 6, "rows": 3, "cones": 1, "tied": 2, "norm": False},
+    "too many tied": {"nodes": 3, "variables": 6, "rows": 3, "cones": 1, "tied": 4},
 }
+ALWAYS = ("norm cost", "three tied")
 
 
 def emulated(program, folder: Path) -> ctypes.CDLL:
@@ -55,17 +61,38 @@ def emulated(program, folder: Path) -> ctypes.CDLL:
 @pytest.fixture(
     scope="module",
     params=[
-        pytest.param(sizes, id=name, marks=[pytest.mark.slow] if i else [])
-        for i, (name, sizes) in enumerate(SHAPES.items())
+        pytest.param(sizes, id=name, marks=[] if name in ALWAYS else [pytest.mark.slow])
+        for name, sizes in SHAPES.items()
     ],
 )
 def kernel(request, tmp_path_factory):
     """Programs of one shape, and the name of the kernel that takes them."""
-    programs = [random_program(seed, **request.param) for seed in range(3)]
+    programs = [program_of(seed, **request.param) for seed in range(3)]
     name = f"jaxscp_test_kernel_{request.param_index}"
     library = emulated(programs[0], tmp_path_factory.mktemp("kernel"))
     assert libraries.register(library, native.TARGET, target=name)
     return programs, name
+
+
+def program_of(seed, tied=None, **sizes):
+    """A random program; or one whose half-spaces and cones tie its first variables alone to each other."""
+    program = random_program(seed, **sizes)
+    if tied is None:
+        return program
+    rows, n = program.rows.matrix.shape[1:]
+    few = (np.arange(n) < tied).astype(float)
+    single = np.arange(rows)[:, None] % n == np.arange(n)
+    of_rows = np.where(np.arange(rows)[:, None] == 0, few, single)  # all but the first bound a variable each
+    hessian = program.hessian * np.maximum(np.outer(few, few), np.eye(n))
+    return eqx.tree_at(
+        lambda p: (p.hessian, p.rows.matrix, p.cones),
+        program,
+        (
+            hessian,
+            program.rows.matrix * of_rows,
+            tuple(eqx.tree_at(lambda c: c.matrix, cone, cone.matrix * few) for cone in program.cones),
+        ),
+    )
 
 
 def iterate(solver, programs, near=None):

@@ -9,9 +9,11 @@ which they build on each other:
     layout.h arena.h           what lies where, several nodes of the chain in one register (``libraries/pack.h``)
     held.h                     what a cone has of a vector, in registers while a GPU works on it
     elimination.h, elimination_by_warp.h    one matrix eliminated, on a CPU and on a GPU
+    program.h cones.h scaling.h             the program, its cones and their scaling
     chain_from_ends.h, chain_by_warps.h     the chain of links factored, on a CPU and on a GPU
+    nearly_diagonal.h                       a node's inverse where few of its variables are tied, on a GPU
     nodes_by_panels.h, nodes_by_warps.h     the nodes eliminated and the chain with them; ``nodes.h`` chooses
-    program.h cones.h newton_system.h interior_point.h   the method, the same text on both
+    newton_system.h interior_point.h        the method, the same text on both
     batch.h buffers.h          lanes of a batch, as XLA passes them
     handler.cc                 what XLA calls on a CPU: a thread a lane, or for a single lane all that are free
     scales.h scales_handler.cc the scales of a program, on a CPU; ``scales.py`` calls it

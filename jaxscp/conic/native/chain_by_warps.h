@@ -31,18 +31,15 @@ class Chain {
 
   JAXSCP_CALLED void factor() {
     share_among_teams(2, [&](int end) {
-      double* tile = tile_of_warp();
-      auto begin = [&](int t) {
-        if (t < count(end)) fetch(fetched(end, t), own(link(end, t)), kOfLink);
-      };
+      double *tile = tile_of_warp(), *here = ahead_of(end);
+      auto begin = [&](int t) { fetch(here, own(link(end, t)), t < count(end) ? kOfLink : 0); };
       begin(0);
       double update[kLower / kTile][2] = {};  // what the last link takes from this one
 #pragma unroll 1
       for (int t = 0; t < count(end); ++t) {
         const int l = link(end, t);
-        const double *here = fetched(end, t), *next = here + 2 * kLower;
+        const double* next = here + 2 * kLower;
         wait_for_fetched<0>();
-        begin(t + 1);
         assemble(tile, [&](int at, int e) {
           const int k = at + 2 * lane_of_warp() + e;
           return here[k] + (l > 0 ? here[kLower + k] : 0.0) - update[at / kTile][e];
@@ -60,6 +57,8 @@ class Chain {
               for (int e = 0; e < 2; ++e) update[lower_tile(s, t) / kTile][e] = sums[e];
             });
         }
+        __syncwarp();
+        begin(t + 1);
 #pragma unroll
         for (int s = 0; s < kAcross; ++s)
           products.each_of_solved(k[s], [&](int i, int j, double v) {
@@ -70,7 +69,7 @@ class Chain {
       }
       each_lower_tile([&](int tile, int, int) {
         const double(&sums)[2] = update[tile / kTile];
-        put_pair(fetched(end, 0) + tile + 2 * lane_of_warp(), sums[0], sums[1]);
+        put_pair(here + tile + 2 * lane_of_warp(), sums[0], sums[1]);
       });
     });
     share_among_teams(1, [&](int) {
@@ -78,7 +77,7 @@ class Chain {
       assemble(tile, [&](int at, int e) {
         const int k = at + 2 * lane_of_warp() + e;
         double v = own(kMiddle)[k] + (kMiddle > 0 ? from_before(kMiddle)[k] : 0.0);
-        for (int end = 0; end < 2; ++end) v -= fetched(end, 0)[k];
+        for (int end = 0; end < 2; ++end) v -= ahead_of(end)[k];
         return v;
       });
       invert_factor<m>(tile);
@@ -125,8 +124,6 @@ class Chain {
   static int count(int end) { return end == 0 ? kMiddle : kLinks - 1 - kMiddle; }
   static int link(int end, int t) { return end == 0 ? t : kLinks - 1 - t; }
 
-  // Where an end's t-th link is fetched, by turns in one of two places.
-  static double* fetched(int end, int t) { return ahead_of(end) + t % 2 * kOfLink; }
   double* vector(int l) const { return &vector_[l * m * kSides]; }
   // By a team, a symmetric block by columns, of whose lower tile at ``at`` a lane has value(at, e), e < 2.
   template <typename Value>

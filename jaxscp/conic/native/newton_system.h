@@ -1,45 +1,10 @@
 // The Newton system of the interior point and its solution, by elimination of cones, nodes and links (``kkt.py``).
 #pragma once
 
-#include "cones.h"
 #include "nodes.h"
+#include "scaling.h"
 
 namespace jaxscp {
-
-// Nesterov-Todd scaling of the product cone; nothing on the zero cone.
-class Scaling {
- public:
-  Packs w;    // as a ConeVector: roots of the half-spaces' ratios, and the cones' points
-  Packs eta;  // of each cone
-
-  Scaling(const Program& p, Arena& arena)
-      : w(arena.take(p.packs * p.cone.size)), eta(arena.take(p.packs * p.cone_count)), program_(p) {}
-
-  // For slack and multiplier the identity of the cone.
-  JAXSCP_CALLED void set_unit() {
-    share(w.size, [&](int i) { w[i] = all(0.0); });
-    share(eta.size, [&](int i) { eta[i] = all(1.0); });
-    program_.each([&](int p, int i) { at(w, p)[i] = all(1.0); },
-                  [&](int p, int i, int, int) { at(w, p)[i] = all(1.0); });
-  }
-
-  JAXSCP_CALLED void set(Packs s, Packs y) {
-    program_.each([&](int p, int i) { at(w, p)[i] = root(at(s, p)[i] / at(y, p)[i]); },
-                  [&](int p, int i, int d, int c) {
-                    soc::Held point = soc::room(at(w, p) + i, d);
-                    soc::scaling(soc::hold(at(s, p) + i, d), soc::hold(at(y, p) + i, d), point,
-                                 eta.of(p, program_.cone_count)[c]);
-                    soc::keep(point, at(w, p) + i);
-                  });
-  }
-
-  Pack eta_of(int p, int cone) const { return eta.of(p, program_.cone_count)[cone]; }
-
- private:
-  Entries at(Packs v, int p) const { return program_.of_cones(v, p); }
-
-  const Program& program_;
-};
 
 class NewtonSystem {
  public:
@@ -76,7 +41,7 @@ class NewtonSystem {
       return part * part + regularisation;
     };
     auto add = [&](int p, auto to, Pack* room) { add_hessian(scaling, regularisation, p, to, room); };
-    nodes_.factor(chain_, add, along, diagonal);
+    nodes_.factor(chain_, scaling, regularisation, add, along, diagonal);
   }
 
   // Solve [P A'; A -W^2] (x, y) = (rx, ry) for S sides at once. Refinement is against this full system: it brings
@@ -210,7 +175,7 @@ class NewtonSystem {
       Pack total = g.rows.add_transposed(p, j, g.of_primal(sides[s].rx, p)[j], [&](int i) { return v[i]; });
       total = g.user.add_transposed(p, j, total, [&](int i) { return v[g.r + i]; });
       if (g.has_norm) total -= g.scale.of(p, n)[j] * v[g.trust + 1 + j];
-      nodes_.right(p)[k] = total;
+      nodes_.template right<S>(p, j, s) = total;
     });
   }
 

@@ -4,6 +4,7 @@
 
 #include "chain_from_ends.h"
 #include "elimination.h"
+#include "scaling.h"
 
 namespace jaxscp {
 
@@ -20,7 +21,7 @@ class Nodes {
   // Eliminates them, add(p, Triangle) having added up the lower triangle of each Hessian, and factors what remains in
   // the links, which have own(p, i) times own(p, j) themselves, and diagonal(p, i) on the diagonal.
   template <typename Add, typename Own, typename Diagonal>
-  void factor(Chain& chain, Add add, Own own, Diagonal diagonal) {
+  void factor(Chain& chain, const Scaling&, double, Add add, Own own, Diagonal diagonal) {
     const Program& g = program_;
     share_among_teams(g.packs, [&](int p) {
       Pack* panel = &panels_[p * panel_];
@@ -44,8 +45,11 @@ class Nodes {
     chain.factor();
   }
 
-  // Right sides of the nodes, side by side: row j of side s at j S + s.
-  Entries right(int p) const { return right_.of(p, shape_.size * kSides); }
+  // Row j of the right side s of a node.
+  template <int S>
+  Pack& right(int p, int j, int s) const {
+    return right(p)[j * S + s];
+  }
 
   // Solves for the nodes and for the links, whose own right sides are lacks(p, i, s).
   template <int S, typename Lacks>
@@ -83,6 +87,8 @@ class Nodes {
     Pack& operator()(int i, int j) const { return first[i * size + j]; }
   };
 
+  // Right sides are side by side.
+  Entries right(int p) const { return right_.of(p, shape_.size * kSides); }
   Entries found(int p) const { return found_.of(p, shape_.rows * kSides); }
 
   const Program& program_;

@@ -5,18 +5,19 @@
 #pragma once
 
 #include "chain_by_warps.h"
-#include "elimination_by_warp.h"
+#include "nearly_diagonal.h"
 
 namespace jaxscp {
 
 class Nodes {
  public:
   Nodes(const Program& program, Arena& arena)
-      : program_(program), factors_(arena.take(nodes * kTriangle)), ties_(arena.take(nodes * kOfNode)),
+      : program_(program), inverse_(program, arena), factors_(arena.take(nodes * kTriangle)), ties_(arena.take(nodes * kOfNode)),
         right_(arena.take(program.packs * n * kSides)), found_(arena.take(right_.size)) {}
 
   // Begins with another program: what ties nodes to links, node by node, and where among it an entry is.
   JAXSCP_CALLED void read() {
+    inverse_.read();
     const Matrix &after = program_.after, &before = program_.before;
     share(2 * kPadded * n, [&](int k) {
       const int i = k / n, j = k % n, of_link = i % kPadded;
@@ -33,7 +34,10 @@ class Nodes {
   // Eliminates them, add(p, Triangle) having added up the lower triangle of each Hessian, and factors what remains in
   // the links, which have own(p, i) times own(p, j) themselves, and diagonal(p, i) on the diagonal.
   template <typename Add, typename Own, typename Diagonal>
-  JAXSCP_CALLED void factor(Chain& chain, Add add, Own own, Diagonal diagonal) {
+  JAXSCP_CALLED void factor(Chain& chain, const Scaling& scaling, double regularisation, Add add, Own own,
+                            Diagonal diagonal) {
+    const bool nearly_diagonal = inverse_.serves();
+    if (nearly_diagonal) inverse_.find(scaling, regularisation);
     share_among_teams(nodes + 1, [&](int p) {
       double *tile = tile_of_warp(), *of_link = passed();
       auto compliance = [&](int i, int j) {
@@ -47,6 +51,11 @@ class Nodes {
         });
         return;
       }
+      if (nearly_diagonal) {
+        begin_link();
+        put(NearlyDiagonal::Products(inverse_, p), chain, p, compliance);
+        return;
+      }
       in_team(n * n, [&](int e) { tile[e] = 0.0; });
       add(p, Triangle{tile}, passed());
       invert_factor<n>(tile);
@@ -54,20 +63,23 @@ class Nodes {
       for (int j = 0; j < n; ++j)
         if (int i = lane_of_warp(); i <= j) factor[j * (j + 1) / 2 + i] = tile[j * n + i];
       begin_link();
-      put(chain, p, compliance);
+      put(Products<n>(tile), chain, p, compliance);
       __syncwarp();
     });
     chain.factor();
   }
 
-  // Right sides of the nodes, side by side: row j of side s at j S + s.
-  Entries right(int p) const { return right_.of(p, n * kSides); }
+  // Row j of the right side s of a node.
+  template <int S>
+  Pack& right(int p, int j, int s) const {
+    return right(p, s)[j];
+  }
 
   // Solves for the nodes and for the links, whose own right sides are lacks(p, i, s).
   template <int S, typename Lacks>
   void solve(Chain& chain, Lacks lacks) {
     const Program& g = program_;
-    times_inverses<S>(right_);
+    times_inverses<S>();
     chain.template solve<S>([&](int p, int i, double (&total)[S]) {
       for (int s = 0; s < S; ++s) total[s] = -lacks(p, i, s);
       auto add = [&](const Matrix& matrix, int p) {
@@ -82,7 +94,7 @@ class Nodes {
     share(g.packs, Parts{n}, [&](int p, int j) {
       if (p >= nodes) return;
       double left[S];
-      for (int s = 0; s < S; ++s) left[s] = right(p)[j * S + s];
+      for (int s = 0; s < S; ++s) left[s] = right(p, s)[j];
       auto take = [&](const Matrix& matrix, int l) {
         Entries a = matrix.at(p);
         matrix.each_of_column(j, [&](int e, int i) {
@@ -91,9 +103,9 @@ class Nodes {
       };
       take(g.after, p);
       take(g.before, p + 1);
-      for (int s = 0; s < S; ++s) right(p)[j * S + s] = left[s];
+      for (int s = 0; s < S; ++s) right(p, s)[j] = left[s];
     });
-    times_inverses<S>(right_);
+    times_inverses<S>();
   }
 
   // Row j of side s.
@@ -112,6 +124,7 @@ class Nodes {
     double& operator()(int i, int j) const { return first[j * n + i]; }
   };
 
+  Entries right(int p, int s) const { return right_.of(p, n * kSides) + s * n; }
   Entries found(int p) const { return found_.of(p, n * kSides); }
   // Where among a node's ties is what it has in rows of its link, and then of the next, both padded.
   static short* place() {
@@ -123,10 +136,9 @@ class Nodes {
   double* ties(int p) const { return &ties_[p * kOfNode]; }
 
   // What the elimination of node p leaves in its links: of few rows of K at a time, as registers are few.
-  template <typename Compliance>
-  void put(const Chain& chain, int p, Compliance compliance) const {
-    const Products<n> products(tile_of_warp());
-    using Row = typename Products<n>::Row;
+  template <typename Products, typename Compliance>
+  void put(const Products& products, const Chain& chain, int p, Compliance compliance) const {
+    using Row = typename Products::Row;
     const int lane = lane_of_warp(), row = lane / 4, column = lane % 4 * 2;
     const double* tie = ties(p);
     auto find = [&](int s) {
@@ -172,9 +184,18 @@ class Nodes {
     }
   }
 
-  // ``found_`` = A^-1 v at all nodes; factors are fetched one ahead of their use.
+  // ``found_`` = A^-1 right at all nodes.
   template <int S>
-  JAXSCP_CALLED void times_inverses(Packs from) {
+  void times_inverses() {
+    if (!inverse_.serves()) return times_factors<S>();
+    share(program_.packs, Parts{0, S}, [&](int p, int s) {
+      soc::keep(inverse_.times(p, soc::hold(right(p, s), n)), found(p) + s * n);
+    });
+  }
+
+  // The same by factors, which are fetched one ahead of their use.
+  template <int S>
+  JAXSCP_CALLED void times_factors() {
     static_assert(2 * n * kSides <= kPassed);
     share_among_teams(warps(), [&](int w) {
       const int lane = lane_of_warp();
@@ -185,7 +206,7 @@ class Nodes {
       for (int p = w; p < nodes; p += warps()) {
         double *v = passed(), *u = passed() + n * S;
         begin(other, p + warps());
-        in_team(n * S, [&](int k) { v[k] = from.of(p, n * kSides)[k]; });
+        in_team(n * S, [&](int k) { v[k] = right(p, k % S)[k / S]; });
         wait_for_fetched<1>();
         times_transposed<S, n>(room, v, u);
         if (lane < n) {
@@ -205,6 +226,7 @@ class Nodes {
   }
 
   const Program& program_;
+  NearlyDiagonal inverse_;
   Packs factors_, ties_, right_, found_;
 };
 

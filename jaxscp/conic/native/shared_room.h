@@ -34,8 +34,8 @@ inline void each_lower_tile(Act act) {
 }
 
 constexpr int kBlockSize = even(kLayout.m * kLayout.m);  // of a block by columns
-constexpr int kFetched = 6;  // blocks of the chain that are in use or on their way
-constexpr int kAhead = larger_of(2 * kOfLink, kFetched * kBlockSize);  // of an end of the chain
+constexpr int kFetched = 3;  // blocks of the chain that are in use or on their way
+constexpr int kAhead = larger_of(kOfLink, kFetched * kBlockSize);  // of an end of the chain
 // Both ends are eliminated in tiles of two warps; what they fetch is where other warps have theirs.
 constexpr int shared_room_of(int warps) {
   return warps * kPassed + larger_of(larger_of(warps, 2) * kTileSize, 2 * (kTileSize + kAhead));

@@ -1,0 +1,316 @@
+// The inverse of a node's Hessian where little but its trust region ties its variables to each other, on a GPU.
+//
+//     H = Q + by S^2 - c v v',    v = S w,   c = 2 by / (1 + 2 |w|^2)
+//
+// S has the scales of the trust region, w is the tail of its cone's point and by = 1 / eta^2. Q, of cost, half-spaces
+// and the user's cones, is diagonal but for a few variables that these tie. So is A = Q + by S^2, and by Sherman and
+// Morrison
+//
+//     H^-1 = A^-1 + u u',   u = A^-1 v (by / k)^1/2,   k = 1/2 + w'(w - by S A^-1 v).
+//
+// A row of w'(w - by S A^-1 v) that nothing is tied to is w_i^2 q_i / a_i: nothing cancels.
+#pragma once
+
+#include "elimination_by_warp.h"
+#include "scaling.h"
+
+namespace jaxscp {
+
+class NearlyDiagonal {
+ public:
+  NearlyDiagonal(const Program& program, Arena& arena)
+      : program_(program), inverse_(arena.take(program.packs * kOfNode)) {}
+
+  // Begins with another program: finds which of its variables are tied to others at any node.
+  JAXSCP_CALLED void read() {
+    const Program& g = program_;
+    share(n, [&](int j) {
+      bool is_tied = false;
+      g.hessian.each_of_row(j, [&](int, int i) { is_tied |= i != j; });
+      g.rows.each_of_column(j, [&](int, int i) {
+        g.rows.each_of_row(i, [&](int, int other) { is_tied |= other != j; });
+      });
+      g.user.each_of_column(j, [&](int, int) { is_tied = true; });
+      tied()[j] = is_tied ? 1 : 0;
+    });
+    once([&] {
+      int found = 0;
+      for (int j = 0; j < n; ++j)
+        if (tied()[j]) tied()[j] = ++found;
+      many_ = found;
+      for (int j = 0; j < n; ++j)
+        if (tied()[j] && tied()[j] <= kTied) variable_[tied()[j] - 1] = j;
+    });
+  }
+
+  // Whether so few are tied that this serves.
+  bool serves() const { return many_ <= kTied; }
+
+  // Finds the inverses at all nodes.
+  JAXSCP_CALLED void find(const Scaling& scaling, double regularisation) {
+    share(program_.packs, Parts{0, 1}, [&](int p, int) {
+      const Program& g = program_;
+      const Entries w = g.of_cones(scaling.w, p);
+      Pack by = 0.0, of_tied[kTied][kTied];
+      soc::Held tail{n}, scale{n}, a{n}, kept{n}, u{n}, first{n};  // kept: q / a
+      if (g.has_norm) {
+        const Pack eta = scaling.eta_of(p, g.trust_cone);
+        by = 1.0 / (eta * eta), tail = soc::hold(w + (g.trust + 1), n), scale = soc::hold(g.scale.of(p, n), n);
+      } else {
+        soc::each(tail, [](int) { return 0.0; }), soc::each(scale, [](int) { return 0.0; });
+      }
+      const Entries of_cost = g.hessian.at(p), of_rows = g.rows.at(p);
+      soc::each_entry(a, [&](int k, int j) {
+        Pack q = regularisation;
+        g.hessian.each_of_row(j, [&](int e, int i) { q += i == j ? of_cost[e] : 0.0; });
+        g.rows.each_of_column(j, [&](int e, int i) { q += of_rows[e] * of_rows[e] / (w[i] * w[i]); });
+        const Pack whole = q + by * scale[k] * scale[k];
+        kept[k] = q / whole;
+        return whole;
+      });
+      add_tied(scaling, regularisation, p, of_tied);
+      // M' = L^-1 of those that are tied
+      Pack v[kTied], solved[kTied], m[kTied][kTied], whole[kTied][kTied], lacks = 0.0;
+#pragma unroll
+      for (int i = 0; i < kTied; ++i) {
+        const Pack s = entry(scale, i), t = entry(tail, i);
+        v[i] = i < many_ ? s * t : 0.0;
+#pragma unroll
+        for (int j = 0; j <= i; ++j) whole[i][j] = of_tied[i][j] + (i == j ? i < many_ ? by * s * s : 1.0 : 0.0);
+      }
+      invert(whole, m);
+      times(m, v, solved);
+      // (w - by S A^-1 v)_i is (Q A^-1 v)_i / s_i
+#pragma unroll
+      for (int i = 0; i < kTied; ++i) {
+        if (i >= many_) break;
+        const Pack s = entry(scale, i), t = entry(tail, i);
+        Pack product = 0.0;
+#pragma unroll
+        for (int j = 0; j < kTied; ++j) product += (j < i ? of_tied[i][j] : of_tied[j][i]) * solved[j];
+        lacks += s != 0.0 ? t * product / s : t * t;
+      }
+      lacks = larger(lacks, 0.0) + 0.5;
+      lacks += soc::total(n, [&](int k) { return number(k) ? 0.0 : beyond(k) ? 0.0 : tail[k] * tail[k] * kept[k]; });
+      const Pack size = root(by / lacks);
+      soc::each_entry(first, [&](int k, int) { return number(k) ? 0.0 : 1.0 / root(a[k]); });
+      soc::each_entry(u, [&](int k, int) {
+        const int i = number(k);
+        return size * (i ? chosen(solved, i) : scale[k] * tail[k] / a[k]);
+      });
+      double* to = at(p);
+#pragma unroll
+      for (int k = 0; k < soc::Held::kSlots; ++k)
+        if (const int j = soc::entry_of(k); j < n) to[j] = first[k], to[n + j] = u[k];
+#pragma unroll
+      for (int i = 0; i < kTied; ++i)
+        for (int j = 0; j < kTied; ++j)
+          if (lane_of_cone() == i) to[2 * n + i * kTied + j] = m[i][j];
+    });
+  }
+
+  // H^-1 v, by the lanes that have it.
+  soc::Held times(int p, const soc::Held& v) const {
+    const double* of = at(p);
+    soc::Held out{n};
+    Pack of_tied[kTied], solved[kTied], m[kTied][kTied], part = 0.0, u[soc::Held::kSlots], first[soc::Held::kSlots];
+#pragma unroll
+    for (int k = 0; k < soc::Held::kSlots; ++k) {
+      const int j = soc::entry_of(k);
+      first[k] = j < n ? of[j] : 0.0, u[k] = j < n ? of[n + j] : 0.0;
+    }
+#pragma unroll
+    for (int i = 0; i < kTied; ++i)
+#pragma unroll
+      for (int j = 0; j <= i; ++j) m[i][j] = of[2 * n + i * kTied + j];
+#pragma unroll
+    for (int i = 0; i < kTied; ++i) of_tied[i] = i < many_ ? entry(v, i) : 0.0;
+    times(m, of_tied, solved);
+#pragma unroll
+    for (int k = 0; k < soc::Held::kSlots; ++k) part += u[k] * v[k];
+    part = soc::of_all_lanes(part);
+#pragma unroll
+    for (int k = 0; k < soc::Held::kSlots; ++k) {
+      const int i = number(k);
+      out[k] = u[k] * part + (i ? chosen(solved, i) : first[k] * first[k] * v[k]);
+    }
+    return out;
+  }
+
+  // Products with the inverse H^-1 = R R', R = [1 / sqrt(a) M u]: rows of K = B R, of which eight are a ``Row`` of
+  // factors for tensor cores, four columns at a time. M and u have the last four.
+  class Products {
+   public:
+    static constexpr int kSteps = (ProgramLayout::n + 3) / 4;
+    struct Row {
+      double steps[kSteps + 1];
+    };
+
+    Products(const NearlyDiagonal& inverse, int p) : of_(inverse.at(p)) {}
+
+    // Of K the rows whose b(i, j), i < 8, are given.
+    template <typename Below>
+    Row find(Below below) const {
+      Row found;
+      const int row = lane_of_warp() / 4, column = lane_of_warp() % 4;
+      double last[2] = {}, x[kSteps];
+      // The sums' columns are 0 .. 7, of which a lane has two neighbours: the first is one of the four.
+      const int c = row % 2 == 0 ? row / 2 : -1;
+#pragma unroll
+      for (int k = 0; k < kSteps; ++k) {
+        const int j = 4 * k + column, i = j < n ? tied()[j] : 0;
+        found.steps[k] = j < n ? below(row, j) : 0.0;
+        // of M the entry (i - 1, c), or of u
+        const int from = c == kTied ? n + j : i > 0 && i - 1 <= c ? 2 * n + c * kTied + i - 1 : -1;
+        x[k] = j < n && from >= 0 ? of_[from] : 0.0;
+      }
+      __syncwarp();
+#pragma unroll
+      for (int k = 0; k < kSteps; ++k) add_products(last, found.steps[k], x[k]);
+#pragma unroll
+      for (int k = 0; k < kSteps; ++k)
+        found.steps[k] *= 4 * k + column < n ? of_[4 * k + column] : 0.0;
+      found.steps[kSteps] = last[0];
+      return found;
+    }
+
+    // A tile of K K': put takes its sums as they lie.
+    template <typename Put>
+    static void gram(const Row& a, const Row& b, Put put) {
+      double sums[2] = {};
+      __syncwarp();
+#pragma unroll
+      for (int k = 0; k <= kSteps; ++k) add_products(sums, a.steps[k], b.steps[k]);
+      put(sums);
+    }
+
+   private:
+    const double* of_;
+  };
+
+ private:
+  static constexpr int n = ProgramLayout::n;
+  static constexpr int kTied = 3;  // variables: with u they are four columns
+  static constexpr int kOfNode = even(2 * n + kTied * kTied);
+
+  // Of each variable its number among those that are tied, from one on, or zero.
+  static int* tied() {
+    __shared__ int of_variable[n];
+    return of_variable;
+  }
+  static bool beyond(int k) { return soc::entry_of(k) >= n; }
+  static int number(int k) { return beyond(k) ? 0 : tied()[soc::entry_of(k)]; }
+  static Pack chosen(const Pack (&v)[kTied], int number) {
+    Pack found = v[0];
+#pragma unroll
+    for (int i = 1; i < kTied; ++i)
+      if (number == i + 1) found = v[i];
+    return found;
+  }
+  double* at(int p) const { return &inverse_[p * kOfNode]; }
+
+  // Of a vector that lanes have the entry of the tied variable i, for all of them.
+  Pack entry(const soc::Held& v, int i) const {
+    const int j = i < many_ ? variable_[i] : 0;
+    Pack found = v[0];
+#pragma unroll
+    for (int k = 1; k < soc::Held::kSlots; ++k)
+      if (j / kLanesOfCone == k) found = v[k];
+    return __shfl_sync(kEvery, found, lane_of_warp() - lane_of_cone() + j % kLanesOfCone);
+  }
+
+  // The lower triangle of Q among the tied variables.
+  void add_tied(const Scaling& scaling, double regularisation, int p, Pack (&q)[kTied][kTied]) const {
+    const Program& g = program_;
+    const Entries w = g.of_cones(scaling.w, p);
+    const Entries of_cost = g.hessian.at(p), of_rows = g.rows.at(p), of_user = g.user.at(p);
+#pragma unroll
+    for (int i = 0; i < kTied; ++i)
+#pragma unroll
+      for (int j = 0; j < kTied; ++j) q[i][j] = i == j ? regularisation : 0.0;
+#pragma unroll
+    for (int i = 0; i < kTied; ++i) {
+      if (i >= many_) break;
+      auto add = [&](int variable, Pack v) {
+#pragma unroll
+        for (int j = 0; j <= i; ++j) q[i][j] += tied()[variable] == j + 1 ? v : 0.0;
+      };
+      g.hessian.each_of_row(variable_[i], [&](int e, int other) { add(other, of_cost[e]); });
+      g.rows.each_of_column(variable_[i], [&](int e, int row) {
+        const Pack weight = of_rows[e] / (w[row] * w[row]);
+        g.rows.each_of_row(row, [&](int f, int other) { add(other, weight * of_rows[f]); });
+      });
+    }
+    for (int c = 0; c < g.user_cones; ++c) {
+      const auto [offset, d, _] = g.cone_at(c);
+      const Pack eta = scaling.eta_of(p, c), by = 1.0 / (eta * eta);
+      Pack along[kTied] = {};
+      for (int r = 0; r < d; ++r) {
+        Pack row[kTied] = {};
+        g.user.each_of_row(offset - g.r + r, [&](int e, int variable) {
+#pragma unroll
+          for (int i = 0; i < kTied; ++i)
+            if (tied()[variable] == i + 1) row[i] = of_user[e];
+        });
+        const Pack here = w[offset + r], sign = r == 0 ? 1.0 : -1.0;
+#pragma unroll
+        for (int i = 0; i < kTied; ++i) {
+          along[i] += sign * here * row[i];
+#pragma unroll
+          for (int j = 0; j <= i; ++j) q[i][j] -= sign * by * row[i] * row[j];
+        }
+      }
+#pragma unroll
+      for (int i = 0; i < kTied; ++i)
+#pragma unroll
+        for (int j = 0; j <= i; ++j) q[i][j] += 2.0 * by * along[i] * along[j];
+    }
+  }
+
+  // L^-1, a = L L' being given by its lower triangle.
+  static void invert(const Pack (&a)[kTied][kTied], Pack (&m)[kTied][kTied]) {
+    Pack l[kTied][kTied] = {};
+#pragma unroll
+    for (int j = 0; j < kTied; ++j) {
+#pragma unroll
+      for (int i = j; i < kTied; ++i) {
+        Pack left = a[i][j];
+#pragma unroll
+        for (int k = 0; k < j; ++k) left -= l[i][k] * l[j][k];
+        l[i][j] = i == j ? 1.0 / root(left) : left * l[j][j];
+      }
+    }
+#pragma unroll
+    for (int i = 0; i < kTied; ++i)
+#pragma unroll
+      for (int j = 0; j < kTied; ++j) {
+        Pack sum = 0.0;
+#pragma unroll
+        for (int k = j; k < i; ++k) sum += l[i][k] * m[k][j];
+        m[i][j] = i == j ? l[i][i] : i > j ? -sum * l[i][i] : 0.0;
+      }
+  }
+
+  // m'm v
+  static void times(const Pack (&m)[kTied][kTied], const Pack (&v)[kTied], Pack (&out)[kTied]) {
+    Pack half[kTied];
+#pragma unroll
+    for (int i = 0; i < kTied; ++i) {
+      half[i] = 0.0;
+#pragma unroll
+      for (int j = 0; j <= i; ++j) half[i] += m[i][j] * v[j];
+    }
+#pragma unroll
+    for (int j = 0; j < kTied; ++j) {
+      out[j] = 0.0;
+#pragma unroll
+      for (int i = j; i < kTied; ++i) out[j] += m[i][j] * half[i];
+    }
+  }
+
+  const Program& program_;
+  int many_ = 0, variable_[kTied] = {};  // that are tied
+  Packs inverse_;  // of each node 1 / sqrt(a), u and M' by rows
+};
+
+}  // namespace jaxscp
