@@ -39,6 +39,7 @@ SHAPES = {
     "three tied": {"nodes": 5, "variables": 10, "rows": 4, "cones": 1, "tied": 3},
     "none tied": {"nodes": 3, "variables": 6, "rows": 3, "cones": 0, "tied": 1},
     "two tied, no norm": {"nodes": 3, "variables": 6, "rows": 3, "cones": 1, "tied": 2, "norm": False},
+    "variables outnumber entries": {"nodes": 3, "variables": 18, "rows": 2, "tied": 2, "norm": False},
     "too many tied": {"nodes": 3, "variables": 6, "rows": 3, "cones": 1, "tied": 4},
 }
 ALWAYS = ("norm cost", "three tied")

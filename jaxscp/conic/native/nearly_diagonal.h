@@ -43,8 +43,9 @@ class NearlyDiagonal {
     });
   }
 
-  // Whether so few are tied that this serves.
-  bool serves() const { return many_ <= kTied; }
+  // Whether so few are tied that this serves, and what lanes hold of a cone has room for a node's variables: as it has
+  // where there is a trust region.
+  bool serves() const { return many_ <= kTied && n <= soc::Held::kSlots * kLanesOfCone; }
 
   // Finds the inverses at all nodes.
   JAXSCP_CALLED void find(const Scaling& scaling, double regularisation) {
