@@ -53,7 +53,7 @@ class Chain {
           k[s] = products.find([&](int i, int j) { return next[square_tile(s, j / 8) + i * 8 + j % 8]; });
 #pragma unroll
           for (int t = 0; t <= s; ++t)
-            products.gram(k[s], k[t], [&](const double (&sums)[2]) {
+            gram(k[s], k[t], [&](const double (&sums)[2]) {
               for (int e = 0; e < 2; ++e) update[lower_tile(s, t) / kTile][e] = sums[e];
             });
         }

@@ -98,6 +98,16 @@ inline void add_products(double (&sums)[2], double a, double b) {
 }
 #endif
 
+// A tile of K K' of two ``Row``s of K: put takes its sums as they lie.
+template <typename Row, typename Put>
+inline void gram(const Row& a, const Row& b, Put put) {
+  double sums[2] = {};
+  __syncwarp();
+#pragma unroll
+  for (int k = 0; k < Row::kFactors; ++k) add_products(sums, a.factor(k), b.factor(k));
+  put(sums);
+}
+
 // Products of an eliminated panel: M is in a tile. Eight rows of what is below A, and of K, are a ``Row``, as they lie in
 // the registers of the tensor cores' sums; as such they are factors for the next product, whose columns are then taken in
 // another order.
@@ -106,7 +116,9 @@ class Products {
  public:
   static constexpr int kTiles = (kSize + 7) / 8;
   struct Row {
+    static constexpr int kFactors = 2 * kTiles;
     double tiles[kTiles][2] = {};
+    double factor(int k) const { return tiles[k / 2][k % 2]; }
   };
 
   explicit Products(const double* tile) : tile_(tile) {}
@@ -124,18 +136,6 @@ class Products {
 #pragma unroll
       for (int u = k / 2; u < kTiles; ++u) add_products(found.tiles[u], b[k], m(4 * k + column_, 8 * u + row_));
     return found;
-  }
-
-  // A tile of K K': put takes its sums as they lie.
-  template <typename Put>
-  static void gram(const Row& a, const Row& b, Put put) {
-    double sums[2] = {};
-    __syncwarp();
-#pragma unroll
-    for (int u = 0; u < kTiles; ++u)
-#pragma unroll
-      for (int e = 0; e < 2; ++e) add_products(sums, a.tiles[u][e], b.tiles[u][e]);
-    put(sums);
   }
 
   // Entries (i, j), i < 8, of B A^-1 = K M'.

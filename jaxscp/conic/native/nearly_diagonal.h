@@ -53,12 +53,10 @@ class NearlyDiagonal {
       const Program& g = program_;
       const Entries w = g.of_cones(scaling.w, p);
       Pack by = 0.0, of_tied[kTied][kTied];
-      soc::Held tail{n}, scale{n}, a{n}, kept{n}, u{n}, first{n};  // kept: q / a
+      soc::Held tail{n}, scale{n}, a{n}, kept{n}, u{n}, first{n};  // all zero; kept: q / a
       if (g.has_norm) {
         const Pack eta = scaling.eta_of(p, g.trust_cone);
         by = 1.0 / (eta * eta), tail = soc::hold(w + (g.trust + 1), n), scale = soc::hold(g.scale.of(p, n), n);
-      } else {
-        soc::each(tail, [](int) { return 0.0; }), soc::each(scale, [](int) { return 0.0; });
       }
       const Entries of_cost = g.hessian.at(p), of_rows = g.rows.at(p);
       soc::each_entry(a, [&](int k, int j) {
@@ -71,13 +69,12 @@ class NearlyDiagonal {
       });
       add_tied(scaling, regularisation, p, of_tied);
       // M' = L^-1 of those that are tied
-      Pack v[kTied], solved[kTied], m[kTied][kTied], whole[kTied][kTied], lacks = 0.0;
+      Pack s[kTied], t[kTied], v[kTied], solved[kTied], m[kTied][kTied], whole[kTied][kTied], lacks = 0.0;
 #pragma unroll
       for (int i = 0; i < kTied; ++i) {
-        const Pack s = entry(scale, i), t = entry(tail, i);
-        v[i] = i < many_ ? s * t : 0.0;
+        s[i] = entry(scale, i), t[i] = entry(tail, i), v[i] = i < many_ ? s[i] * t[i] : 0.0;
 #pragma unroll
-        for (int j = 0; j <= i; ++j) whole[i][j] = of_tied[i][j] + (i == j ? i < many_ ? by * s * s : 1.0 : 0.0);
+        for (int j = 0; j <= i; ++j) whole[i][j] = of_tied[i][j] + (i == j ? i < many_ ? by * s[i] * s[i] : 1.0 : 0.0);
       }
       invert(whole, m);
       times(m, v, solved);
@@ -85,14 +82,13 @@ class NearlyDiagonal {
 #pragma unroll
       for (int i = 0; i < kTied; ++i) {
         if (i >= many_) break;
-        const Pack s = entry(scale, i), t = entry(tail, i);
         Pack product = 0.0;
 #pragma unroll
         for (int j = 0; j < kTied; ++j) product += (j < i ? of_tied[i][j] : of_tied[j][i]) * solved[j];
-        lacks += s != 0.0 ? t * product / s : t * t;
+        lacks += s[i] != 0.0 ? t[i] * product / s[i] : t[i] * t[i];
       }
       lacks = larger(lacks, 0.0) + 0.5;
-      lacks += soc::total(n, [&](int k) { return number(k) ? 0.0 : beyond(k) ? 0.0 : tail[k] * tail[k] * kept[k]; });
+      lacks += soc::total(n, [&](int k) { return number(k) ? 0.0 : tail[k] * tail[k] * kept[k]; });
       const Pack size = root(by / lacks);
       soc::each_entry(first, [&](int k, int) { return number(k) ? 0.0 : 1.0 / root(a[k]); });
       soc::each_entry(u, [&](int k, int) {
@@ -113,13 +109,10 @@ class NearlyDiagonal {
   // H^-1 v, by the lanes that have it.
   soc::Held times(int p, const soc::Held& v) const {
     const double* of = at(p);
-    soc::Held out{n};
-    Pack of_tied[kTied], solved[kTied], m[kTied][kTied], part = 0.0, u[soc::Held::kSlots], first[soc::Held::kSlots];
-#pragma unroll
-    for (int k = 0; k < soc::Held::kSlots; ++k) {
-      const int j = soc::entry_of(k);
-      first[k] = j < n ? of[j] : 0.0, u[k] = j < n ? of[n + j] : 0.0;
-    }
+    soc::Held out{n}, first{n}, u{n};
+    Pack of_tied[kTied], solved[kTied], m[kTied][kTied];
+    soc::each_entry(first, [&](int, int j) { return of[j]; });
+    soc::each_entry(u, [&](int, int j) { return of[n + j]; });
 #pragma unroll
     for (int i = 0; i < kTied; ++i)
 #pragma unroll
@@ -127,14 +120,11 @@ class NearlyDiagonal {
 #pragma unroll
     for (int i = 0; i < kTied; ++i) of_tied[i] = i < many_ ? entry(v, i) : 0.0;
     times(m, of_tied, solved);
-#pragma unroll
-    for (int k = 0; k < soc::Held::kSlots; ++k) part += u[k] * v[k];
-    part = soc::of_all_lanes(part);
-#pragma unroll
-    for (int k = 0; k < soc::Held::kSlots; ++k) {
+    const Pack part = soc::dot(u, v);
+    soc::each(out, [&](int k) {
       const int i = number(k);
-      out[k] = u[k] * part + (i ? chosen(solved, i) : first[k] * first[k] * v[k]);
-    }
+      return u[k] * part + (i ? chosen(solved, i) : first[k] * first[k] * v[k]);
+    });
     return out;
   }
 
@@ -144,7 +134,9 @@ class NearlyDiagonal {
    public:
     static constexpr int kSteps = (ProgramLayout::n + 3) / 4;
     struct Row {
-      double steps[kSteps + 1];
+      static constexpr int kFactors = kSteps + 1;
+      double steps[kFactors];
+      double factor(int k) const { return steps[k]; }
     };
 
     Products(const NearlyDiagonal& inverse, int p) : of_(inverse.at(p)) {}
@@ -175,16 +167,6 @@ class NearlyDiagonal {
       return found;
     }
 
-    // A tile of K K': put takes its sums as they lie.
-    template <typename Put>
-    static void gram(const Row& a, const Row& b, Put put) {
-      double sums[2] = {};
-      __syncwarp();
-#pragma unroll
-      for (int k = 0; k <= kSteps; ++k) add_products(sums, a.steps[k], b.steps[k]);
-      put(sums);
-    }
-
    private:
     const double* of_;
   };
@@ -199,8 +181,7 @@ class NearlyDiagonal {
     __shared__ int of_variable[n];
     return of_variable;
   }
-  static bool beyond(int k) { return soc::entry_of(k) >= n; }
-  static int number(int k) { return beyond(k) ? 0 : tied()[soc::entry_of(k)]; }
+  static int number(int k) { return soc::entry_of(k) < n ? tied()[soc::entry_of(k)] : 0; }
   static Pack chosen(const Pack (&v)[kTied], int number) {
     Pack found = v[0];
 #pragma unroll

@@ -12,8 +12,9 @@ namespace jaxscp {
 class Nodes {
  public:
   Nodes(const Program& program, Arena& arena)
-      : program_(program), inverse_(program, arena), factors_(arena.take(nodes * kTriangle)), ties_(arena.take(nodes * kOfNode)),
-        right_(arena.take(program.packs * n * kSides)), found_(arena.take(right_.size)) {}
+      : program_(program), inverse_(program, arena), factors_(arena.take(nodes * kTriangle)),
+        ties_(arena.take(nodes * kOfNode)), right_(arena.take(program.packs * n * kSides)),
+        found_(arena.take(right_.size)) {}
 
   // Begins with another program: what ties nodes to links, node by node, and where among it an entry is.
   JAXSCP_CALLED void read() {
@@ -154,7 +155,7 @@ class Nodes {
       later[s] = find(kAcross + s);
 #pragma unroll
       for (int t = 0; t <= s; ++t)
-        products.gram(later[s], later[t], [&](const double (&sums)[2]) {
+        gram(later[s], later[t], [&](const double (&sums)[2]) {
           put_pair(from_before + lower_tile(s, t), sums[0], sums[1]);
         });
     }
@@ -165,7 +166,7 @@ class Nodes {
       const Row k = find(t);
 #pragma unroll
       for (int s = 0; s < kAcross; ++s)
-        products.gram(later[s], k, [&](const double (&sums)[2]) {
+        gram(later[s], k, [&](const double (&sums)[2]) {
           if (goes_on) put_pair(between + square_tile(s, t), sums[0], sums[1]);
           else turned[square_tile(t, s)] = sums[0], turned[square_tile(t, s) + 8] = sums[1];
         });
@@ -177,7 +178,7 @@ class Nodes {
       first[s] = find(s);
 #pragma unroll
       for (int t = 0; t <= s; ++t)
-        products.gram(first[s], first[t], [&](const double (&sums)[2]) {
+        gram(first[s], first[t], [&](const double (&sums)[2]) {
           const int i = 8 * s + row, j = 8 * t + column;
           put_pair(own + lower_tile(s, t), sums[0] + compliance(i, j), sums[1] + compliance(i, j + 1));
         });
