@@ -24,7 +24,10 @@ from jaxscp.status import Status, StatusCode, usable
 from jaxscp.types import Count, Flag, Scalar
 
 KEPT = 0.99  # of virtual control, from a subproblem to the next, where it will not vanish
-COARSEST = 1e-3  # relative accuracy of the first subproblems
+SHARE = 1e-3  # of what is ahead, to which a subproblem is solved
+ENDING = (
+    1e-4  # relative accuracy of a subproblem that may be the last: of a coarser one small steps say nothing
+)
 
 
 class Answer(eqx.Module):
@@ -90,6 +93,8 @@ class SCP(eqx.Module):
         tolerance_step: largest |z_k - zref_k| of a converged iterate.
         max_iterations: subproblems allowed.
         substeps: RK4 steps an interval; never fewer than ten, since optimisers exploit the error of four.
+        coarsest: relative accuracy of the first subproblem, and the most of any. Zero solves all to the solver's
+            tolerance: half as many Newton steps again, for costs that differ by less than a thousandth.
         conic: solver of the subproblems, which is told what accuracy is enough and where the solution may be near.
     """
 
@@ -99,6 +104,7 @@ class SCP(eqx.Module):
     tolerance_step: float = 1e-3
     max_iterations: int = eqx.field(default=50, static=True)
     substeps: int = eqx.field(default=10, static=True)
+    coarsest: float = 0.03
     conic: ConicSolver = InteriorPoint(tolerance=1e-6)
 
     @property
@@ -140,14 +146,14 @@ class SCP(eqx.Module):
         """Solve one subproblem and take its answer as the next reference."""
         program, cost = self._program(problem, state.z, state.flow)
         # a lane that has ended fills up a batch, and asks for nothing
-        accuracy = jnp.where(self.terminate(state), jnp.inf, sufficient_accuracy(state))
-        solution = self.conic(program, accuracy, Near(state.z, state.prices, state.iterations > 0))
+        accuracy = jnp.where(self.terminate(state), jnp.inf, self.accuracy(state))
+        solution = self.conic(program, accuracy, Near(state.z, state.prices))
         good = usable(solution.status) & jnp.all(jnp.isfinite(solution.z))
         z = jnp.where(good, solution.z, state.z)
         flow = discretise(problem, z, self.substeps)
         virtual = jnp.max(jnp.linalg.norm(program.virtual_control(z), axis=1))
         moved = jnp.max(jnp.linalg.norm(z - state.z, axis=1))
-        small_step = moved < self.tolerance_step
+        small_step = (moved < self.tolerance_step) & (accuracy <= ENDING)
         closed = virtual < self.tolerance_virtual
         row = History(
             cost=cost(z),
@@ -171,6 +177,14 @@ class SCP(eqx.Module):
             prices=solution.multipliers,
         )
 
+    def accuracy(self, state: SCPState) -> Scalar:
+        """Relative accuracy that the next subproblem is worth: next to nothing is gained by more.
+
+        A reference that moves far is soon another one; near the end, steps are about the square of the last one.
+        """
+        last = state.history.step[state.iterations - 1]  # zero before the first, whose row is the last one's
+        return jnp.where(state.iterations == 0, self.coarsest, jnp.minimum(self.coarsest, SHARE * last**2))
+
     def _program(
         self, problem: OptimalControlProblem, z: Float[Array, "nodes variables"], flow: Discretisation
     ):
@@ -193,17 +207,6 @@ def _stays(virtual: Scalar, state: SCPState) -> Flag:
     """Whether virtual control is what it was before the last subproblem: near a fixed point that does not change."""
     before = state.history.virtual[state.iterations - 1]
     return (state.iterations > 0) & (virtual > KEPT * before)
-
-
-def sufficient_accuracy(state: SCPState) -> Scalar:
-    """Relative accuracy that the next subproblem is worth: next to nothing is gained by more.
-
-    Iterates converge quadratically, so that the step to come is about the square of the last one; and what the cost
-    gains by it is the square of that.
-    """
-    last = state.history.step[state.iterations - 1]  # zero before the first, whose row is the last one's
-    ahead = jnp.where(state.iterations == 0, 1.0, jnp.minimum(last, 1.0) ** 2)
-    return COARSEST * ahead**2
 
 
 def largest_defect(

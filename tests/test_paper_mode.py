@@ -26,6 +26,10 @@ CASES = {
     "three boxes": three_box,
 }
 
+COARSE = (
+    1e-3  # relative cost: what subproblems solved no better than needed change of a stop that is not optimal
+)
+
 GRIDS = 0.05  # relative: the stops of the paper's method on 30 and on 90 nodes, none of them optimal
 
 
@@ -36,8 +40,8 @@ def settled(arrays):
 
 @pytest.fixture(scope="module")
 def both():
-    """A function from a case's name to our run and the published stack's."""
-    ours = jax.jit(as_method(settled(three_box())).run)
+    """A function from a case's name to our run and the published stack's, of subproblems that both solve as well."""
+    ours = jax.jit(replace(as_method(settled(three_box())), coarsest=0.0).run)
 
     @cache
     def solve(case):
@@ -81,6 +85,27 @@ def test_arrays_survive_the_way_there(both, case):
     np.testing.assert_array_equal(z[:, :13], arrays.states)
     np.testing.assert_array_equal(z[:, 15:19], arrays.controls)
     np.testing.assert_allclose(z[:, 13:15], theirs.history[0].elapsed, rtol=1e-12)
+
+
+@pytest.mark.parametrize("mission", [scenarios.platform_to_platform, scenarios.ascent_to_platform])
+def test_coarse_subproblems_lead_to_the_same_stop(mission):
+    coarse, exact = (Planner(nodes=30, method=method)(mission()) for method in (SCP(), SCP(coarsest=0.0)))
+    assert status_names(coarse.status) == status_names(exact.status) == "converged"
+    assert int(coarse.iterations) <= int(exact.iterations) + 1
+    steps = [int(s.history.conic_iterations.sum()) for s in (coarse, exact)]
+    assert steps[0] < 0.8 * steps[1]
+    np.testing.assert_allclose(coarse.cost, exact.cost, rtol=COARSE)
+
+
+def test_no_iterations_end_by_a_coarse_subproblem():
+    """Where the reference meets the accuracy asked for, nothing moves: that is no reason to stop."""
+    problem, z = as_problem(settled(three_box()))
+    method = replace(as_method(settled(three_box())), coarsest=1e9)
+    assert method.accuracy(method.init(problem, z)) == 1e9
+    state = jax.jit(method.run)(problem, z)
+    assert state.history.conic_iterations[0] == 0
+    assert int(state.iterations) > 1
+    assert bool(state.status == Status.converged)
 
 
 @pytest.mark.slow

@@ -17,7 +17,6 @@ from jaxscp import SCP, Planner
 from jaxscp.conic.equilibrate import equilibrate
 from jaxscp.conic.program import Near
 from jaxscp.convexify import convexify
-from jaxscp.scp import sufficient_accuracy
 
 FLIGHTS = 64  # distinct ones; more lanes have the same again
 SUBPROBLEMS = 5  # of a plan
@@ -47,8 +46,8 @@ def recorded(method: SCP, nodes: int, flights: int) -> list[Any]:
     def given(problem, state):
         program, _ = convexify(problem, state.z, state.flow, method.trust_region, method.virtual_weight)
         scaled, scales = equilibrate(program, method.conic.equilibration)
-        near = scales.apply(Near(state.z, state.prices, state.iterations > 0))
-        return scaled, scales, jnp.maximum(method.conic.tolerance, sufficient_accuracy(state)), near
+        near = scales.apply(Near(state.z, state.prices))
+        return scaled, scales, jnp.maximum(method.conic.tolerance, method.accuracy(state)), near
 
     with jax.default_device(jax.devices("cpu")[0]):
         problem, z, _ = jax.jit(jax.vmap(planner.setup))(instances(jax.random.key(7), flights))

@@ -1,9 +1,10 @@
-"""Primal-dual interior point for staged conic programs, in the homogeneous embedding.
+"""Primal-dual interior point for staged conic programs.
 
-Nesterov-Todd scaling and Mehrotra's predictor and corrector. The embedding (Goulart and Chen, "Clarabel: an
-interior-point solver for conic programs with quadratic objectives", 2024) adds two scalars tau and kappa: at
-its solution either tau > 0 and x / tau solves the program, or kappa > 0 and the iterate itself proves that the
-program is infeasible or unbounded.
+Nesterov-Todd scaling and Mehrotra's predictor and corrector. From afar it goes on in the homogeneous embedding (Goulart
+and Chen, "Clarabel: an interior-point solver for conic programs with quadratic objectives", 2024), which adds two
+scalars tau and kappa: at its solution either tau > 0 and x / tau solves the program, or kappa > 0 and the iterate
+itself proves that the program is infeasible or unbounded. Where a point is thought to be near, a solution is thought
+to exist: from there the steps are of the program itself, tau one and kappa zero, as few and with a right side less.
 """
 
 import functools
@@ -17,7 +18,6 @@ from jaxscp.conic import cones, kkt, native
 from jaxscp.conic.cones import ConeVector, tree_axpy, tree_dot, tree_max
 from jaxscp.conic.equilibrate import Scales, equilibrate
 from jaxscp.conic.kkt import Primal
-from jaxscp.conic.near import REGULARISATION as NEAR_REGULARISATION
 from jaxscp.conic.near import central_start
 from jaxscp.conic.program import ConicSolution, Multipliers, Near, StagedProgram
 from jaxscp.status import Status, StatusCode
@@ -25,7 +25,7 @@ from jaxscp.types import Count, Scalar
 
 
 class Iterate(eqx.Module):
-    """A point of the homogeneous embedding."""
+    """A point of the homogeneous embedding; of the program itself where tau is one and kappa zero."""
 
     x: Primal
     y: ConeVector
@@ -41,8 +41,8 @@ class Iterate(eqx.Module):
     @classmethod
     def near(cls, program: StagedProgram, near: Near) -> "Iterate":
         """The start near a point that is thought to be not far from the solution."""
-        x, y, s, mu = central_start(program, near)
-        return cls(x, y, s, jnp.ones(()), mu)
+        x, y, s = central_start(program, near)
+        return cls(x, y, s, jnp.ones(()), jnp.zeros(()))
 
 
 class Residuals(eqx.Module):
@@ -95,8 +95,7 @@ class InteriorPoint(eqx.Module):
             unboundedness counts: at 1e-6 it still excludes every point of norm below a million.
         loose_tolerance: those at which it counts as almost solved when progress ends earlier.
         max_iterations: Newton steps allowed, from each start.
-        regularisation: added to the diagonal of the (equilibrated) system; its effect is refined away. A tenth of it
-            where the loop starts near, which needs the digits.
+        regularisation: added to the diagonal of the (equilibrated) system; its effect is refined away.
         refinements: rounds of iterative refinement for each right-hand side.
         refine_below: error, or that of a proof, from which on there is refinement: far from the end the digits that it
             brings back are not missed.
@@ -123,8 +122,8 @@ class InteriorPoint(eqx.Module):
             program: to solve.
             accuracy: relative gap and residuals that are enough, if that is more than the tolerance: steps that an
                 outer iteration has no use for are not taken.
-            near: where the solution is thought to be, which saves steps where it is true. Where it leads nowhere the
-                loop starts again, as without it.
+            near: where the solution is thought to be, which saves steps where it is true, and makes them cheaper. Where
+                it leads nowhere the loop starts again, as without it.
 
         Returns:
             A ``ConicSolution``; ``z`` is always finite, its ``status`` says what it is worth.
@@ -147,9 +146,6 @@ class InteriorPoint(eqx.Module):
     ) -> Ended:
         """The loop itself, on an equilibrated program; to the solver's own tolerance if to no other."""
         wanted = jnp.asarray(self.tolerance if tolerance is None else tolerance, program.gradient.dtype)
-        if near is not None:
-            # where nothing is known there is no number to start from, and the loop starts again
-            near = eqx.tree_at(lambda n: n.z, near, jnp.where(near.known, near.z, jnp.nan))
         program, scales, wanted, near = _without_derivative((program, scales, wanted, near))
         compiled = {}
         if self.compiled and native.serves(program):
@@ -163,22 +159,22 @@ class InteriorPoint(eqx.Module):
         return jax.lax.platform_dependent(program, scales, wanted, near, **compiled, default=self._iterate)
 
     def _iterate(self, program: StagedProgram, scales: Scales, tolerance: Scalar, near: Near | None) -> Ended:
-        def steps(start: Progress, regularisation: float = self.regularisation) -> Progress:
+        def steps(start: Progress, newton: type[_Newton]) -> Progress:
             most = start.iterations + self.max_iterations
             return jax.lax.while_loop(
                 lambda p: ~(self._decided(p, tolerance) | p.stalled | p.broken | (p.iterations >= most)),
-                lambda p: self._step(program, scales, p, regularisation),
+                lambda p: self._step(program, scales, p, newton),
                 start,
             )
 
         if near is None:
-            progress = steps(self._start(program, scales))
+            progress = steps(self._start(program, scales), _Embedded)
         else:
             start = _started(program, scales, Iterate.near(program, near))
-            progress = steps(start, NEAR_REGULARISATION * self.regularisation)
+            progress = steps(start, _Newton)
             decided = self._decided(progress, tolerance)
             anew = lambda p: eqx.tree_at(lambda q: q.iterations, self._start(program, scales), p.iterations)  # noqa: E731
-            progress = steps(jax.lax.cond(decided, lambda p: p, anew, progress))
+            progress = steps(jax.lax.cond(decided, lambda p: p, anew, progress), _Embedded)
         r = progress.residuals
         measures = r.error, r.infeasibility, r.unboundedness
         return Ended(progress.iterate, *measures, progress.iterations, progress.stalled, progress.broken)
@@ -240,16 +236,16 @@ class InteriorPoint(eqx.Module):
         )
 
     def _step(
-        self, program: StagedProgram, scales: Scales, progress: Progress, regularisation: float
+        self, program: StagedProgram, scales: Scales, progress: Progress, newton: "type[_Newton]"
     ) -> Progress:
         old, r = progress.iterate, progress.residuals
         near = jnp.minimum(r.error, jnp.minimum(r.infeasibility, r.unboundedness)) < self.refine_below
         refinements = jnp.where(near, self.refinements, 0) if self.refinements else 0
-        newton = _Newton(program, old, regularisation, refinements)
+        directions = newton(program, old, self.regularisation, refinements)
 
-        affine = newton.predictor(r)
+        affine = directions.predictor(r)
         sigma = (1.0 - _longest_step(old, affine)) ** 3
-        direction = newton.corrector(r, affine, sigma)
+        direction = directions.corrector(r, affine, sigma)
         step = 0.99 * _longest_step(old, direction)
 
         new = tree_axpy(step, direction, old)
@@ -286,7 +282,7 @@ def restored(
 
 
 class _Newton:
-    """Newton directions of the embedding at one iterate."""
+    """Newton directions of the program at one iterate."""
 
     def __init__(
         self, program: StagedProgram, iterate: Iterate, regularisation: float, refinements: Count | int
@@ -295,21 +291,11 @@ class _Newton:
         self.scaling = cones.scaling(iterate.s, iterate.y)
         factor = kkt.factorise(program, self.scaling, regularisation)
         self._solve = lambda rx, ry: kkt.solve(program, self.scaling, factor, rx, ry, refinements)
-        self.q, self.b = kkt.linear_cost(program), kkt.right_side(program)
-        self.xi = jax.tree.map(lambda v: v / iterate.tau, iterate.x)
-        self.gradient = tree_axpy(2.0, kkt.times_hessian(program, self.xi), self.q)
 
     def predictor(self, r: Residuals) -> Iterate:
-        """The affine direction, which aims at s = 0; solved together with the constant one, which both steps share."""
-        both = jax.tree.map(
-            lambda u, v: jnp.stack([u, v]),
-            (_negated(self.q), self.b),
-            self._right_side(r, 1.0, self.iterate.s),
-        )
-        both = jax.vmap(self._solve)(*both)
-        self.constant, solution = (jax.tree.map(lambda v, i=i: v[i], both) for i in range(2))
-        self.slope = self._slope()
-        return self._assemble(r, 1.0, self.iterate.tau * self.iterate.kappa, solution, self.iterate.s)
+        """The affine direction, which aims at s = 0."""
+        solution = self._solve_affine(self._right_side(r, 1.0, self.iterate.s))
+        return self._direction(r, 1.0, self.iterate.tau * self.iterate.kappa, solution, self.iterate.s)
 
     def corrector(self, r: Residuals, affine: Iterate, sigma: Scalar) -> Iterate:
         """Mehrotra's combined direction: centring by sigma and second-order correction."""
@@ -319,7 +305,10 @@ class _Newton:
         lifted = self.scaling.apply(cones.divide(self.scaling.apply(self.iterate.y), target))
         lifted = tree_axpy(1.0, lifted, self.iterate.s)
         solution = self._solve(*self._right_side(r, 1.0 - sigma, lifted))
-        return self._assemble(r, 1.0 - sigma, target_tau, solution, lifted)
+        return self._direction(r, 1.0 - sigma, target_tau, solution, lifted)
+
+    def _solve_affine(self, right_side: tuple[Primal, ConeVector]) -> tuple[Primal, ConeVector]:
+        return self._solve(*right_side)
 
     def _right_side(
         self, r: Residuals, share: Scalar | float, lifted: ConeVector
@@ -327,15 +316,37 @@ class _Newton:
         """Residuals reduced by ``share``, slacks moved by ``-lifted``."""
         return jax.tree.map(lambda v: -share * v, r.x), tree_axpy(-share, r.y, lifted)
 
-    def _assemble(self, r: Residuals, share, target_tau, solution, lifted: ConeVector) -> Iterate:
-        """Add the multiple of the constant direction that the embedding's last equation asks for."""
+    def _direction(self, r: Residuals, share, target_tau, solution, lifted: ConeVector) -> Iterate:
+        """With the slacks that follow."""
+        dx, dy, dtau, dkappa = self._embed(r, share, target_tau, *solution)
+        return Iterate(dx, dy, _negated(tree_axpy(1.0, lifted, self.scaling.square(dy))), dtau, dkappa)
+
+    def _embed(self, r: Residuals, share, target_tau, x: Primal, y: ConeVector):
+        """A solution as it is, where tau is one."""
+        return x, y, jnp.zeros(()), jnp.zeros(())
+
+
+class _Embedded(_Newton):
+    """Newton directions of the embedding."""
+
+    def _solve_affine(self, right_side: tuple[Primal, ConeVector]) -> tuple[Primal, ConeVector]:
+        """Together with the constant direction, which both steps share."""
+        self.q, self.b = kkt.linear_cost(self.program), kkt.right_side(self.program)
+        self.xi = jax.tree.map(lambda v: v / self.iterate.tau, self.iterate.x)
+        self.gradient = tree_axpy(2.0, kkt.times_hessian(self.program, self.xi), self.q)
+        both = jax.tree.map(lambda u, v: jnp.stack([u, v]), (_negated(self.q), self.b), right_side)
+        both = jax.vmap(self._solve)(*both)
+        self.constant, solution = (jax.tree.map(lambda v, i=i: v[i], both) for i in range(2))
+        self.slope = self._slope()
+        return solution
+
+    def _embed(self, r: Residuals, share, target_tau, x: Primal, y: ConeVector):
+        """With the multiple of the constant direction that the embedding's last equation asks for."""
         tau, kappa = self.iterate.tau, self.iterate.kappa
-        x, y = solution
         defect = -share * r.tau + target_tau / tau - tree_dot(self.gradient, x) - tree_dot(self.b, y)
         dtau = defect / self.slope
         dx, dy = tree_axpy(dtau, self.constant[0], x), tree_axpy(dtau, self.constant[1], y)
-        ds = _negated(tree_axpy(1.0, lifted, self.scaling.square(dy)))
-        return Iterate(dx, dy, ds, dtau, -(target_tau + kappa * dtau) / tau)
+        return dx, dy, dtau, -(target_tau + kappa * dtau) / tau
 
     def _slope(self) -> Scalar:
         """Derivative of the embedding's last equation along the constant direction; always negative."""

@@ -13,16 +13,14 @@ from jaxscp.conic.cones import ConeVector, tree_axpy
 from jaxscp.conic.kkt import Primal
 from jaxscp.conic.program import Near, StagedProgram
 from jaxscp.conic.smoothing import central_pair
-from jaxscp.types import Scalar
 
 # mu, in equilibrated units, is this share of the largest residual of stationarity, within limits: found by trial on
 # subproblems of both missions in both modes
 SHARE, LEAST, MOST = 0.2, 0.02, 3.0
-REGULARISATION = 0.1  # of the usual, of which a few that start near would end short of their tolerance
 
 
-def central_start(program: StagedProgram, near: Near) -> tuple[Primal, ConeVector, ConeVector, Scalar]:
-    """Variables, multipliers, slacks and mu of the start, for an equilibrated program."""
+def central_start(program: StagedProgram, near: Near) -> tuple[Primal, ConeVector, ConeVector]:
+    """Variables, multipliers and slacks of the start, for an equilibrated program."""
     norm, soft, links = program.norm, program.links.soft, near.multipliers.links
     virtual = jnp.linalg.norm(program.virtual_control(near.z), axis=1)
     moved = None if norm is None else norm.scale * (near.z - norm.centre)
@@ -40,4 +38,4 @@ def central_start(program: StagedProgram, near: Near) -> tuple[Primal, ConeVecto
     s = tree_axpy(-1.0, kkt.times_constraints(program, x), kkt.right_side(program))
     s = ConeVector(jnp.zeros_like(s.zero), s.orthant, s.second)
     pair = central_pair(jax.tree.map(jnp.subtract, s, y), mu)
-    return x, pair.y, pair.s, mu
+    return x, pair.y, pair.s

@@ -1,4 +1,4 @@
-// The primal-dual interior point in the homogeneous embedding: the loop of ``interior_point.py``, step for step.
+// The primal-dual interior point: the loop of ``interior_point.py``, step for step.
 #pragma once
 
 #include "newton_system.h"
@@ -37,8 +37,7 @@ class InteriorPoint {
       : program_(program), settings_(settings), iterate_(program, arena), direction_(program, arena),
         scaling_(program, arena), ry_(arena.take(iterate_.y.size)), rx_(arena.take(iterate_.x.size)),
         system_(program, arena), constant_x_(arena.take(rx_.size)), constant_y_(arena.take(ry_.size)),
-        residuals_(program, arena), against_(arena.take(rx_.size)) {
-  }
+        residuals_(program, arena), against_(arena.take(rx_.size)) {}
 
   void run(const Given& given, double cost_scale, double tolerance) {
     double q = most(1.0, program_.largest_of(program_.q, program_.primal));
@@ -65,7 +64,7 @@ class InteriorPoint {
       if (decided()) return;
       if (!(stalled || broken || iterations >= most_)) continue;
       if (!near_) return;
-      once([&] {  // again, from afar
+      once([&] {  // again, from afar and in the embedding
         near_ = started_ = stalled = broken = false;
         most_ = iterations + settings_.max_iterations;
       });
@@ -145,7 +144,7 @@ class InteriorPoint {
           soc::set_head(s, 0.5 * (s_plus + s_minus)), soc::set_head(y, 0.5 * (y_plus + y_minus));
           soc::keep(s, of_s), soc::keep(y, of_y);
         });
-    begin(mu);
+    begin(0.0);
   }
 
   // s and y of which s y = mu and s - y are given; the smaller of them from their product, as the difference cancels.
@@ -181,23 +180,26 @@ class InteriorPoint {
     const Iterate& old = iterate_;
     const int rounds = refinements();
     scaling_.set(old.s, old.y);
-    system_.factor(scaling_, (near_ ? kNearRegularisation : 1.0) * settings_.regularisation);
+    system_.factor(scaling_, settings_.regularisation);
 
-    // the affine direction, which aims at s = 0, and the constant one, which both steps share
+    // the affine direction, which aims at s = 0; and the embedding's constant one, which both steps share
     share(rx_.size + ry_.size, [&](int i) {
       if (i < rx_.size) rx_[i] = -r.x[i];
       else i -= rx_.size, ry_[i] = old.s[i] - r.y[i];
     });
-    system_.solve<2>(scaling_, rounds,
-                     {{against_, g.b, constant_x_, constant_y_}, {rx_, ry_, direction_.x, direction_.y}});
-    const double slope = find_slope();
-    const double left = 1.0 - assemble(1.0, slope, old.tau * old.kappa, old.s), sigma = left * left * left;
-    const double target_tau = old.tau * old.kappa + direction_.tau * direction_.kappa - sigma * r.mu;
+    const NewtonSystem::Side direction{rx_, ry_, direction_.x, direction_.y};
+    if (near_) system_.solve<1>(scaling_, rounds, {direction});
+    else system_.solve<2>(scaling_, rounds, {{against_, g.b, constant_x_, constant_y_}, direction});
+    const double slope = near_ ? 0.0 : find_slope(), product = old.tau * old.kappa;
+    embed(1.0, slope, product);
+    const double left = 1.0 - find_slacks(old.s), sigma = left * left * left;
+    const double target = product + direction_.tau * direction_.kappa - sigma * r.mu;
 
     // Mehrotra's combined direction: centring by sigma and second-order correction
     correct(1.0 - sigma, sigma * r.mu);
-    system_.solve<1>(scaling_, rounds, {{rx_, ry_, direction_.x, direction_.y}});
-    take(0.99 * assemble(1.0 - sigma, slope, target_tau, direction_.s));
+    system_.solve<1>(scaling_, rounds, {direction});
+    embed(1.0 - sigma, slope, target);
+    take(0.99 * find_slacks(direction_.s));
   }
 
   // The combined right side, residuals reduced by ``part``:  lifted = s + W (lambda \ (W^-1 ds o W dy - centre e)),
@@ -233,53 +235,61 @@ class InteriorPoint {
          [&](int p, int i) { return -part * g.of_primal(r.x, p)[i]; });
   }
 
-  // Adds to a solution's cones the multiple tau of the constant direction that the embedding's last equation asks for,
-  // and finds what is missing of the direction there; ``take`` does so with the rest. Returns the longest step along it, at most one, that stays in the cones.
-  JAXSCP_CALLED double assemble(double part, double slope, double target_tau, Packs lifted) {
+  // Adds the multiple tau of the constant direction that the embedding's last equation asks for. A loop that starts near
+  // is of the program itself, where tau is one.
+  JAXSCP_CALLED void embed(double part, double slope, double target) {
+    if (near_) return once([&] { direction_.tau = direction_.kappa = 0.0; });
     const Program& g = program_;
     const Iterate& old = iterate_;
     Iterate& out = direction_;
     const Residuals& r = residuals_;
     using Total = Totals<1, 0>;
-    const Parts entries{g.primal.size + g.cone.size};
-    const double along = fold(g.packs, entries, Total::none(), [&](int p, int k, Total& found) {
+    const double along = fold(g.packs, Parts{g.primal.size + g.cone.size}, Total::none(), [&](int p, int k, Total& to) {
       if (k < g.primal.size) {
         Pack gradient = 2.0 / old.tau * g.of_primal(r.curved, p)[k] + g.of_primal(g.q, p)[k];
-        found.add(0, g.of_places(p, k, g.primal, gradient * g.of_primal(out.x, p)[k]));
+        to.add(0, g.of_places(p, k, g.primal, gradient * g.of_primal(out.x, p)[k]));
       } else {
         const int i = k - g.primal.size;
-        found.add(0, g.of_places(p, i, g.cone, at(g.b, p)[i] * at(out.y, p)[i]));
+        to.add(0, g.of_places(p, i, g.cone, at(g.b, p)[i] * at(out.y, p)[i]));
       }
     }).sum(0);
-    const double tau = (target_tau / old.tau - part * r.tau - along) / slope;
-    const double kappa = -(target_tau + old.kappa * tau) / old.tau;
-    once([&] { out.tau = tau, out.kappa = kappa; });
+    const double tau = (target / old.tau - part * r.tau - along) / slope;
+    once([&] { out.tau = tau, out.kappa = -(target + old.kappa * tau) / old.tau; });
+    share(out.x.size + out.y.size, [&](int i) {
+      if (i < out.x.size) out.x[i] += tau * constant_x_[i];
+      else i -= out.x.size, out.y[i] += tau * constant_y_[i];
+    });
+  }
 
+  // What the slacks' direction is to that of the multipliers; it may take the place of ``lifted``. Returns the longest
+  // step along both, at most one, that stays in the cones.
+  JAXSCP_CALLED double find_slacks(Packs lifted) {
+    const Program& g = program_;
+    const Iterate& old = iterate_;
+    const Iterate& out = direction_;
+    auto bound = [](auto v, auto d) { return where(d < 0.0, -v / d, all(1.0)); };
     const double step = fold(g.packs, Parts{g.r, g.cone_count}, Least{all(1.0)}, [&](int p, int k, Least& found) {
       auto see = [&](int of, Pack step) { found.see(where(within(p, of), step, all(1.0))); };
       if (const int i = k; i < g.r) {
-        const Pack w = at(scaling_.w, p)[i], s = at(old.s, p)[i], y = at(old.y, p)[i];
-        const Pack dy = at(out.y, p)[i] + tau * at(constant_y_, p)[i], ds = -(at(lifted, p)[i] + w * w * dy);
-        at(out.y, p)[i] = dy, at(out.s, p)[i] = ds;
-        auto bound = [](Pack v, Pack d) { return where(d < 0.0, -v / d, all(1.0)); };
+        const Pack w = at(scaling_.w, p)[i], s = at(old.s, p)[i], y = at(old.y, p)[i], dy = at(out.y, p)[i];
+        const Pack ds = -(at(lifted, p)[i] + w * w * dy);
+        at(out.s, p)[i] = ds;
         see(g.nodes, smaller(bound(s, ds), bound(y, dy)));
       } else {
         auto [first, d, of_link] = g.cone_at(k - g.r);
         auto hold = [&](Packs v) { return soc::hold(at(v, p) + first, d); };
-        const soc::Held w = hold(scaling_.w), constant = hold(constant_y_), lift = hold(lifted);
-        const soc::Held s = hold(old.s), y = hold(old.y);
-        soc::Held dy = hold(out.y), ds = soc::room(at(out.s, p) + first, d);
+        const soc::Held w = hold(scaling_.w), lift = hold(lifted), s = hold(old.s), y = hold(old.y), dy = hold(out.y);
+        soc::Held ds = soc::room(at(out.s, p) + first, d);
         soc::Held square = soc::room(at(ry_, p) + first, d);  // whose right side has been used
-        soc::each(dy, [&](int j) { return dy[j] + tau * constant[j]; });
         soc::square(w, scaling_.eta_of(p, k - g.r), dy, square);
         soc::each(ds, [&](int j) { return -(lift[j] + square[j]); });
-        soc::keep(dy, at(out.y, p) + first), soc::keep(ds, at(out.s, p) + first);
+        soc::keep(ds, at(out.s, p) + first);
         Pack far = smaller(soc::step_to_boundary(s, ds), soc::step_to_boundary(y, dy));
         see(of_link ? g.nodes + 1 : g.nodes, far);
       }
     }).value();
-    auto bound = [](double v, double d) { return d < 0.0 ? -v / d : 1.0; };
-    return least(step, least(bound(old.tau, tau), bound(old.kappa, kappa)));
+    auto of_number = [](double v, double d) { return d < 0.0 ? -v / d : 1.0; };
+    return least(step, least(of_number(old.tau, out.tau), of_number(old.kappa, out.kappa)));
   }
 
   // Derivative of the embedding's last equation along the constant direction; always negative.
@@ -309,19 +319,14 @@ class InteriorPoint {
     // the next iterate takes the place of the direction
     const Program& g = program_;
     Iterate &old = iterate_, &next = direction_;
-    const double along = next.tau;  // the constant direction
     double tau = old.tau + length * next.tau, kappa = old.kappa + length * next.kappa, unit = 1.0 / most(tau, kappa);
     once([&] { next.tau = unit * tau, next.kappa = unit * kappa; });
-    fill(g.packs, g.primal.size, [&](int p, int i) -> Pack& { return g.of_primal(next.x, p)[i]; }, [&](int p, int i) {
-      Pack d = g.of_primal(next.x, p)[i] + along * g.of_primal(constant_x_, p)[i];
-      return unit * (g.of_primal(old.x, p)[i] + length * d);
-    });
-    fill(g.packs, g.m, [&](int p, int i) -> Pack& { return at(next.y, p)[g.zero + i]; },
-         [&](int p, int i) { return at(next.y, p)[g.zero + i] + along * at(constant_y_, p)[g.zero + i]; });
     auto move = [&](Packs from, Packs to) {
-      fill(g.packs, g.cone.size, [&](int p, int i) -> Pack& { return at(to, p)[i]; },
-           [&](int p, int i) { return unit * (at(from, p)[i] + length * at(to, p)[i]); });
+      const int many = to.size / g.packs;
+      fill(g.packs, many, [&](int p, int i) -> Pack& { return to.of(p, many)[i]; },
+           [&](int p, int i) { return unit * (from.of(p, many)[i] + length * to.of(p, many)[i]); });
     };
+    move(old.x, next.x);
     move(old.y, next.y);
     move(old.s, next.s);
     const Measures found = measure(next);
@@ -406,10 +411,10 @@ class InteriorPoint {
   Residuals residuals_;
   Packs against_;  // -q
   // as in ``near.py``
-  static constexpr double kShareOfLack = 0.2, kLeastMu = 0.02, kMostMu = 3.0, kNearRegularisation = 0.1;
+  static constexpr double kShareOfLack = 0.2, kLeastMu = 0.02, kMostMu = 3.0;
   double cost_scale_ = 1.0, tolerance_ = 0.0, size_q_ = 1.0, size_b_ = 1.0;
   int most_ = 0;  // iterations
-  bool near_ = false, started_ = false;
+  bool near_ = false, started_ = false;  // ``near_``: without the embedding
 };
 
 }  // namespace jaxscp
