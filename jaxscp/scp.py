@@ -24,10 +24,9 @@ from jaxscp.status import Status, StatusCode, usable
 from jaxscp.types import Count, Flag, Scalar
 
 KEPT = 0.99  # of virtual control, from a subproblem to the next, where it will not vanish
+TIGHTER = 0.5  # times as accurate, from a subproblem to the next: errors that stay as large can keep steps so
 SHARE = 1e-3  # of what is ahead, to which a subproblem is solved
-ENDING = (
-    1e-4  # relative accuracy of a subproblem that may be the last: of a coarser one small steps say nothing
-)
+ENDING = 5e-5  # accuracy of a subproblem that may be the last: of a coarser one small steps say nothing
 
 
 class Answer(eqx.Module):
@@ -93,8 +92,8 @@ class SCP(eqx.Module):
         tolerance_step: largest |z_k - zref_k| of a converged iterate.
         max_iterations: subproblems allowed.
         substeps: RK4 steps an interval; never fewer than ten, since optimisers exploit the error of four.
-        coarsest: relative accuracy of the first subproblem, and the most of any. Zero solves all to the solver's
-            tolerance: half as many Newton steps again, for costs that differ by less than a thousandth.
+        coarsest: relative accuracy of the first subproblem; the next are solved better and better. Zero solves all to the
+            solver's tolerance: half as many Newton steps again, for costs that differ by less than a thousandth.
         conic: solver of the subproblems, which is told what accuracy is enough and where the solution may be near.
     """
 
@@ -104,7 +103,7 @@ class SCP(eqx.Module):
     tolerance_step: float = 1e-3
     max_iterations: int = eqx.field(default=50, static=True)
     substeps: int = eqx.field(default=10, static=True)
-    coarsest: float = 0.03
+    coarsest: float = 0.05
     conic: ConicSolver = InteriorPoint(tolerance=1e-6)
 
     @property
@@ -183,7 +182,8 @@ class SCP(eqx.Module):
         A reference that moves far is soon another one; near the end, steps are about the square of the last one.
         """
         last = state.history.step[state.iterations - 1]  # zero before the first, whose row is the last one's
-        return jnp.where(state.iterations == 0, self.coarsest, jnp.minimum(self.coarsest, SHARE * last**2))
+        most = self.coarsest * TIGHTER ** state.iterations.astype(last.dtype)
+        return jnp.where(state.iterations == 0, most, jnp.minimum(most, SHARE * last**2))
 
     def _program(
         self, problem: OptimalControlProblem, z: Float[Array, "nodes variables"], flow: Discretisation

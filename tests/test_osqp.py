@@ -213,7 +213,7 @@ def test_the_method_runs_on_it(double_integrator):
     """Iterates on OSQP are those on the interior point, as far as the 1-norm of virtual control is unused."""
     histories = []
     for conic in (InteriorPoint(), OSQP()):
-        method = SCP(trust_region=ProximalTrustRegion(1.0), max_iterations=8, conic=conic)
+        method = SCP(trust_region=ProximalTrustRegion(1.0), max_iterations=8, coarsest=0.0, conic=conic)
         result = jax.jit(method.run)(*double_integrator)
         histories.append(result.history)
         assert float(result.history.virtual[-1]) < 1e-4
