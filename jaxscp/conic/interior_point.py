@@ -109,7 +109,7 @@ class InteriorPoint(eqx.Module):
     max_iterations: int = eqx.field(default=50, static=True)
     regularisation: float = eqx.field(default=1e-11, static=True)
     refinements: int = eqx.field(default=1, static=True)
-    refine_below: float = eqx.field(default=1e-4, static=True)
+    refine_below: float = eqx.field(default=1e-5, static=True)
     equilibration: int = eqx.field(default=3, static=True)
     compiled: bool = eqx.field(default=True, static=True)
 

@@ -221,20 +221,27 @@ class Program : public ProgramLayout {
 
   // P x, A x and A'y.
   JAXSCP_CALLED void times(Packs x, Packs y, Packs px, Packs ax, Packs aty) const {
+    begin_times(x, y);
+    share(packs, products(), [&](int p, int k) {
+      product(p, k, x, y, [&](int i, Pack v) { of_cones(ax, p)[i] = v; },
+              [&](int j, Pack curved, Pack dual) { of_primal(px, p)[j] = curved, of_primal(aty, p)[j] = dual; });
+    });
+  }
+
+  // The same by parts, for who uses them at once: what neighbours have of each other, and then so many parts of a place.
+  // Part k calls row(i, entry i of A x), for two rows where it is a link's, or variable(j, entry j of P x, and of A'y).
+  JAXSCP_CALLED void begin_times(Packs x, Packs y) const {
     share(packs, Parts{2 * m}, [&](int p, int k) {
       if (k < m) carry_.of(p, m)[k] = of_nodes(p, before.times(p, k, of_primal(x, p)));
       else multiplier_.of(p, m)[k - m] = link_multiplier(y, p, k - m);
     });
-    const int rows_of_a = r + u + m + n + 1;
-    share(packs, Parts{rows_of_a + primal.size}, [&](int p, int k) {
-      if (k < rows_of_a) {
-        put_constraint(p, k, of_primal(x, p), of_cones(ax, p));
-      } else {
-        const int j = k - rows_of_a;
-        of_primal(px, p)[j] = j < n ? hessian.times(p, j, of_primal(x, p)) : all(0.0);
-        of_primal(aty, p)[j] = transposed(p, j, of_cones(y, p));
-      }
-    });
+  }
+  Parts products() const { return {r + u + m + n + 1 + primal.size}; }
+  template <typename Row, typename Variable>
+  void product(int p, int k, Packs x, Packs y, Row row, Variable variable) const {
+    const int rows_of_a = r + u + m + n + 1, j = k - rows_of_a;
+    if (j < 0) return constraint(p, k, of_primal(x, p), row);
+    variable(j, j < n ? hessian.times(p, j, of_primal(x, p)) : all(0.0), transposed(p, j, of_cones(y, p)));
   }
 
   // Multipliers of the links: those of hard rows, and the tails of the virtual controls' cones.
@@ -245,16 +252,19 @@ class Program : public ProgramLayout {
   }
 
   // What a place has to do, whatever that is: one part for each of its half-spaces, second-order cones, rows of the
-  // zero cone and variables.
-  Parts parts(int sides = 1) const { return {r * sides, cone_count * sides, (m + primal.size) * sides}; }
+  // zero cone and variables. The bound of a norm is a variable that belongs to the norm's cone.
+  Parts parts(int sides = 1) const { return {r * sides, cone_count * sides, (m + n) * sides}; }
 
   // Calls, for part k of a place, half_space(at), second_order(at, dimension, cone), zero_row(at) or variable(at):
-  // ``at`` is where it begins in a ConeVector, and for a variable in a Primal.
+  // ``at`` is where it begins in a ConeVector, and for a variable in a Primal. All lanes of a cone call it for a bound.
   template <typename HalfSpace, typename SecondOrder, typename ZeroRow, typename Variable>
   void part(int k, HalfSpace half_space, SecondOrder second_order, ZeroRow zero_row, Variable variable) const {
     if (k < r) return half_space(k);
     k -= r;
-    if (k < cone_count) return second_order(cone_at(k).offset, cone_at(k).dimension, k);
+    if (k < cone_count) {
+      if (k >= user_cones) variable(k == virtual_cone ? zeta : xi);
+      return second_order(cone_at(k).offset, cone_at(k).dimension, k);
+    }
     k -= cone_count;
     if (k < m) return zero_row(zero + k);
     variable(k - m);
@@ -312,22 +322,23 @@ class Program : public ProgramLayout {
   }
 
   // Row k of A x, of half-spaces, the user's cones, links and bounds with the norm's arguments; v is x.
-  void put_constraint(int p, int k, Entries v, Entries out) const {
+  template <typename Put>
+  void constraint(int p, int k, Entries v, Put put) const {
     if (k < r) {
-      out[k] = rows.times(p, k, v);
+      put(k, rows.times(p, k, v));
     } else if (k < r + u) {
-      out[k] = user.times(p, k - r, v);
+      put(k, user.times(p, k - r, v));
     } else if (k < r + u + m) {
       const int i = k - r - u;
       Pack from_before = one_before(p > 0 ? carry_.of(p - 1, m)[i] : all(0.0), carry_.of(p, m)[i]);
       Pack link = of_nodes(p, after.times(p, i, v)) + from_before, s = soft.of(p, m)[i];
-      out[zero + i] = (1.0 - s) * link;
-      out[virtual_ + 1 + i] = s * link;
+      put(zero + i, (1.0 - s) * link);
+      put(virtual_ + 1 + i, s * link);
     } else if (const int i = k - r - u - m; i < n) {
-      if (has_norm) out[trust + 1 + i] = -scale.of(p, n)[i] * v[i];
+      if (has_norm) put(trust + 1 + i, -scale.of(p, n)[i] * v[i]);
     } else {
-      out[virtual_] = -v[zeta];
-      if (has_norm) out[trust] = -v[xi];
+      put(virtual_, -v[zeta]);
+      if (has_norm) put(trust, -v[xi]);
     }
   }
 
