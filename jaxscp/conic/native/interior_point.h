@@ -95,9 +95,7 @@ class InteriorPoint {
     const Program& g = program_;
     scaling_.set_unit();
     system_.factor(scaling_, settings_.regularisation);
-    const NewtonSystem::Side start{against_, g.b, iterate_.x, iterate_.y};
-    const See nothing{*this, {}, false};
-    system_.solve<1>(scaling_, settings_.refinements, {start}, Right{*this, Right::kGiven}, no_step(), nothing);
+    system_.solve<1>(scaling_, settings_.refinements, {{against_, g.b, iterate_.x, iterate_.y}});
     share(iterate_.s.size, [&](int i) { iterate_.s[i] = -iterate_.y[i]; });
     lift_inside(iterate_.s);
     lift_inside(iterate_.y);
@@ -185,82 +183,56 @@ class InteriorPoint {
     system_.factor(scaling_, settings_.regularisation);
 
     // the affine direction, which aims at s = 0; and the embedding's constant one, which both steps share
+    share(rx_.size + ry_.size, [&](int i) {
+      if (i < rx_.size) rx_[i] = -r.x[i];
+      else i -= rx_.size, ry_[i] = old.s[i] - r.y[i];
+    });
     const NewtonSystem::Side direction{rx_, ry_, direction_.x, direction_.y};
-    const Right affine{*this, Right::kAffine};
-    const See first{*this, old.s, near_}, second{*this, direction_.s, near_};
-    Least far = near_ ? system_.solve<1>(scaling_, rounds, {direction}, affine, no_step(), first)
-                      : system_.solve<2>(scaling_, rounds, {{against_, g.b, constant_x_, constant_y_}, direction},
-                                         affine, no_step(), first);
+    if (near_) system_.solve<1>(scaling_, rounds, {direction});
+    else system_.solve<2>(scaling_, rounds, {{against_, g.b, constant_x_, constant_y_}, direction});
     const double slope = near_ ? 0.0 : find_slope(), product = old.tau * old.kappa;
     embed(1.0, slope, product);
-    const double left = 1.0 - longest_step(far, first), sigma = left * left * left;
+    const double left = 1.0 - find_slacks(old.s), sigma = left * left * left;
     const double target = product + direction_.tau * direction_.kappa - sigma * r.mu;
 
     // Mehrotra's combined direction: centring by sigma and second-order correction
-    const Right combined{*this, Right::kCombined, 1.0 - sigma, sigma * r.mu};
-    far = system_.solve<1>(scaling_, rounds, {direction}, combined, no_step(), second);
+    correct(1.0 - sigma, sigma * r.mu);
+    system_.solve<1>(scaling_, rounds, {direction});
     embed(1.0 - sigma, slope, target);
-    take(0.99 * longest_step(far, second));
+    take(0.99 * find_slacks(direction_.s));
   }
 
-  // Right sides of Newton's equations, of the last of so many sides, by parts of places.
-  struct Right {
-    const InteriorPoint& of;
-    enum Aim { kGiven, kAffine, kCombined } aim;
-    double part = 1.0, centre = 0.0;
-
-    void operator()(int side, int p, int k) const {
-      if (aim == kGiven || side != (aim == kAffine && !of.near_)) return;
-      if (aim == kAffine) of.aim_at_boundary(p, k);
-      else of.correct(p, k, part, centre);
-    }
-  };
-
-  // That of the affine direction.
-  void aim_at_boundary(int p, int k) const {
-    const Program& g = program_;
-    const Residuals& r = residuals_;
-    Entries ry = at(ry_, p), s = at(iterate_.s, p), lack = at(r.y, p);
-    g.part(k, [&](int i) { ry[i] = s[i] - lack[i]; },
-           [&](int i, int d, int) {
-             const soc::Held of_s = soc::hold(s + i, d), lacks = soc::hold(lack + i, d);
-             soc::Held right = soc::room(ry + i, d);
-             soc::each(right, [&](int j) { return of_s[j] - lacks[j]; });
-             soc::keep(right, ry + i);
-           },
-           [&](int i) { ry[i] = -lack[i]; }, [&](int j) { g.of_primal(rx_, p)[j] = -g.of_primal(r.x, p)[j]; });
-  }
-
-  // That of the combined direction, residuals reduced by ``part``:  lifted = s + W (lambda \ (W^-1 ds o W dy - centre e)),
+  // The combined right side, residuals reduced by ``part``:  lifted = s + W (lambda \ (W^-1 ds o W dy - centre e)),
   // where lambda = W y and ds, dy are the affine direction's. It takes the place of ds.
-  void correct(int p, int k, double part, double centre) const {
+  JAXSCP_CALLED void correct(double part, double centre) {
     const Program& g = program_;
     const Residuals& r = residuals_;
-    g.part(k,
-           [&](int i) {
-             Entries lifted = at(direction_.s, p);
-             const Pack cross = lifted[i] * at(direction_.y, p)[i];
-             const Pack to = at(iterate_.s, p)[i] + (cross - centre) / at(iterate_.y, p)[i];
-             lifted[i] = to, at(ry_, p)[i] = to - part * at(r.y, p)[i];
-           },
-           [&](int i, int d, int c) {
-             auto hold = [&](Packs v) { return soc::hold(at(v, p) + i, d); };
-             const soc::Held w = hold(scaling_.w), dy = hold(direction_.y), y = hold(iterate_.y), s = hold(iterate_.s);
-             const soc::Held lacks = hold(r.y);
-             soc::Held lifted = hold(direction_.s), other = soc::room(at(ry_, p) + i, d);
-             const Pack eta = scaling_.eta_of(p, c);
-             soc::scale(w, eta, -1.0, lifted, lifted);
-             soc::scale(w, eta, 1.0, dy, other);
-             soc::product(lifted, other, all(centre), lifted);
-             soc::scale(w, eta, 1.0, y, other);
-             soc::divide(other, lifted, lifted);
-             soc::scale(w, eta, 1.0, lifted, lifted);
-             soc::each(lifted, [&](int j) { return s[j] + lifted[j]; });
-             soc::each(other, [&](int j) { return lifted[j] - part * lacks[j]; });
-             soc::keep(lifted, at(direction_.s, p) + i), soc::keep(other, at(ry_, p) + i);
-           },
-           [&](int i) { at(ry_, p)[i] = -part * at(r.y, p)[i]; },
-           [&](int j) { g.of_primal(rx_, p)[j] = -part * g.of_primal(r.x, p)[j]; });
+    g.each(
+        [&](int p, int i) {
+          Entries lifted = at(direction_.s, p);
+          lifted[i] = at(iterate_.s, p)[i] + (lifted[i] * at(direction_.y, p)[i] - centre) / at(iterate_.y, p)[i];
+          at(ry_, p)[i] = lifted[i] - part * at(r.y, p)[i];
+        },
+        [&](int p, int i, int d, int c) {
+          auto hold = [&](Packs v) { return soc::hold(at(v, p) + i, d); };
+          const soc::Held w = hold(scaling_.w), dy = hold(direction_.y), y = hold(iterate_.y), s = hold(iterate_.s);
+          const soc::Held lacks = hold(r.y);
+          soc::Held lifted = hold(direction_.s), other = soc::room(at(ry_, p) + i, d);
+          const Pack eta = scaling_.eta_of(p, c);
+          soc::scale(w, eta, -1.0, lifted, lifted);
+          soc::scale(w, eta, 1.0, dy, other);
+          soc::product(lifted, other, all(centre), lifted);
+          soc::scale(w, eta, 1.0, y, other);
+          soc::divide(other, lifted, lifted);
+          soc::scale(w, eta, 1.0, lifted, lifted);
+          soc::each(lifted, [&](int j) { return s[j] + lifted[j]; });
+          soc::each(other, [&](int j) { return lifted[j] - part * lacks[j]; });
+          soc::keep(lifted, at(direction_.s, p) + i), soc::keep(other, at(ry_, p) + i);
+        });
+    fill(g.packs, g.m, [&](int p, int i) -> Pack& { return at(ry_, p)[g.zero + i]; },
+         [&](int p, int i) { return -part * at(r.y, p)[g.zero + i]; });
+    fill(g.packs, g.primal.size, [&](int p, int i) -> Pack& { return g.of_primal(rx_, p)[i]; },
+         [&](int p, int i) { return -part * g.of_primal(r.x, p)[i]; });
   }
 
   // Adds the multiple tau of the constant direction that the embedding's last equation asks for. A loop that starts near
@@ -289,52 +261,35 @@ class InteriorPoint {
     });
   }
 
-  // Of the direction of multipliers that of slacks follows, which may take the place of ``lifted``; and how far both may
-  // go, at most one. In the embedding that waits for the constant direction.
-  struct See {
-    const InteriorPoint& of;
-    Packs lifted;
-    bool at_once;
-
-    void operator()(int p, int k, Least& found) const {
-      if (at_once) of.find_slacks(p, k, lifted, found);
-    }
-  };
-
-  void find_slacks(int p, int k, Packs lifted, Least& found) const {
+  // What the slacks' direction is to that of the multipliers; it may take the place of ``lifted``. Returns the longest
+  // step along both, at most one, that stays in the cones.
+  JAXSCP_CALLED double find_slacks(Packs lifted) {
     const Program& g = program_;
-    const Iterate &old = iterate_, &out = direction_;
-    auto see = [&](int of, Pack step) { found.see(where(within(p, of), step, all(1.0))); };
-    if (const int i = k; i < g.r) {
-      auto bound = [](Pack v, Pack d) { return where(d < 0.0, -v / d, all(1.0)); };
-      const Pack w = at(scaling_.w, p)[i], s = at(old.s, p)[i], y = at(old.y, p)[i], dy = at(out.y, p)[i];
-      const Pack ds = -(at(lifted, p)[i] + w * w * dy);
-      at(out.s, p)[i] = ds;
-      see(g.nodes, smaller(bound(s, ds), bound(y, dy)));
-    } else {
-      auto [first, d, of_link] = g.cone_at(k - g.r);
-      auto hold = [&](Packs v) { return soc::hold(at(v, p) + first, d); };
-      const soc::Held w = hold(scaling_.w), lift = hold(lifted), s = hold(old.s), y = hold(old.y), dy = hold(out.y);
-      soc::Held ds = soc::room(at(out.s, p) + first, d);
-      soc::Held square = soc::room(at(ry_, p) + first, d);  // whose right side has been used
-      soc::square(w, scaling_.eta_of(p, k - g.r), dy, square);
-      soc::each(ds, [&](int j) { return -(lift[j] + square[j]); });
-      soc::keep(ds, at(out.s, p) + first);
-      see(of_link ? g.nodes + 1 : g.nodes, smaller(soc::step_to_boundary(s, ds), soc::step_to_boundary(y, dy)));
-    }
-  }
-
-  static Least no_step() { return {all(1.0)}; }
-
-  // The longest step along the direction, at most one, that stays in the cones.
-  double longest_step(const Least& found, const See& see) const {
-    const Program& g = program_;
-    const Iterate &old = iterate_, &out = direction_;
-    const Least far = near_ ? found : fold(g.packs, Parts{g.r, g.cone_count}, no_step(), [&](int p, int k, Least& to) {
-      find_slacks(p, k, see.lifted, to);
-    });
-    auto bound = [](double v, double d) { return d < 0.0 ? -v / d : 1.0; };
-    return least(far.value(), least(bound(old.tau, out.tau), bound(old.kappa, out.kappa)));
+    const Iterate& old = iterate_;
+    const Iterate& out = direction_;
+    auto bound = [](auto v, auto d) { return where(d < 0.0, -v / d, all(1.0)); };
+    const double step = fold(g.packs, Parts{g.r, g.cone_count}, Least{all(1.0)}, [&](int p, int k, Least& found) {
+      auto see = [&](int of, Pack step) { found.see(where(within(p, of), step, all(1.0))); };
+      if (const int i = k; i < g.r) {
+        const Pack w = at(scaling_.w, p)[i], s = at(old.s, p)[i], y = at(old.y, p)[i], dy = at(out.y, p)[i];
+        const Pack ds = -(at(lifted, p)[i] + w * w * dy);
+        at(out.s, p)[i] = ds;
+        see(g.nodes, smaller(bound(s, ds), bound(y, dy)));
+      } else {
+        auto [first, d, of_link] = g.cone_at(k - g.r);
+        auto hold = [&](Packs v) { return soc::hold(at(v, p) + first, d); };
+        const soc::Held w = hold(scaling_.w), lift = hold(lifted), s = hold(old.s), y = hold(old.y), dy = hold(out.y);
+        soc::Held ds = soc::room(at(out.s, p) + first, d);
+        soc::Held square = soc::room(at(ry_, p) + first, d);  // whose right side has been used
+        soc::square(w, scaling_.eta_of(p, k - g.r), dy, square);
+        soc::each(ds, [&](int j) { return -(lift[j] + square[j]); });
+        soc::keep(ds, at(out.s, p) + first);
+        Pack far = smaller(soc::step_to_boundary(s, ds), soc::step_to_boundary(y, dy));
+        see(of_link ? g.nodes + 1 : g.nodes, far);
+      }
+    }).value();
+    auto of_number = [](double v, double d) { return d < 0.0 ? -v / d : 1.0; };
+    return least(step, least(of_number(old.tau, out.tau), of_number(old.kappa, out.kappa)));
   }
 
   // Derivative of the embedding's last equation along the constant direction; always negative.
@@ -366,13 +321,14 @@ class InteriorPoint {
     Iterate &old = iterate_, &next = direction_;
     double tau = old.tau + length * next.tau, kappa = old.kappa + length * next.kappa, unit = 1.0 / most(tau, kappa);
     once([&] { next.tau = unit * tau, next.kappa = unit * kappa; });
-    const int of_x = g.primal.size, of_y = g.cone.size;
-    auto entry = [&](const Iterate& v, int p, int i) -> Pack& {
-      if (i < of_x) return g.of_primal(v.x, p)[i];
-      return i < of_x + of_y ? at(v.y, p)[i - of_x] : at(v.s, p)[i - of_x - of_y];
+    auto move = [&](Packs from, Packs to) {
+      const int many = to.size / g.packs;
+      fill(g.packs, many, [&](int p, int i) -> Pack& { return to.of(p, many)[i]; },
+           [&](int p, int i) { return unit * (from.of(p, many)[i] + length * to.of(p, many)[i]); });
     };
-    fill(g.packs, of_x + 2 * of_y, [&](int p, int i) -> Pack& { return entry(next, p, i); },
-         [&](int p, int i) { return unit * (entry(old, p, i) + length * entry(next, p, i)); });
+    move(old.x, next.x);
+    move(old.y, next.y);
+    move(old.s, next.s);
     const Measures found = measure(next);
     once([&] {
       double error = found.error, before = residuals_.error;

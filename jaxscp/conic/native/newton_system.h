@@ -46,25 +46,19 @@ class NewtonSystem {
 
   // Solve [P A'; A -W^2] (x, y) = (rx, ry) for S sides at once. Refinement is against this full system: it brings
   // back the digits that eliminating cones near their boundary loses.
-  //
-  // Right sides are made where they are read first, part by part (``Program::part``), by make(side, p, k); and
-  // use(p, k, found) has each half-space's and cone's part of the solutions as soon as they are there, of which it finds
-  // something as in a ``fold``.
-  template <int S, typename Make, typename Found, typename Use>
-  JAXSCP_CALLED Found solve(const Scaling& scaling, int refinements, const Side (&sides)[S], Make make, Found first,
-                            Use use) {
-    const Program& g = program_;
-    Found found = solve_once<S>(scaling, sides, make, first, [&](int p, int k, Found& to) {
-      if (refinements == 0) use(p, k, to);
-    });
+  template <int S>
+  JAXSCP_CALLED void solve(const Scaling& scaling, int refinements, const Side (&sides)[S]) {
+    solve_once<S>(scaling, sides);
     for (int round = 0; round < refinements; ++round) {
       Side lacks[S];
       for (int s = 0; s < S; ++s) {
-        g.times(sides[s].x, sides[s].y, rx_[s], ry_[s], dx_[s]);
+        program_.times(sides[s].x, sides[s].y, rx_[s], ry_[s], dx_[s]);
         lacks[s] = {rx_[s], ry_[s], dx_[s], dy_[s]};
       }
-      auto make_lack = [&](int s, int p, int k) { lack(scaling, sides[s], lacks[s], p, k); };
-      solve_once<S>(scaling, lacks, make_lack, first, [](int, int, Found&) {});
+      share(program_.packs, program_.parts(S), [&](int p, int k) {
+        lack(scaling, sides[k % S], lacks[k % S], p, k / S);
+      });
+      solve_once<S>(scaling, lacks);
       const int rows = dx_[0].size, all_rows = rows + dy_[0].size;
       share(all_rows * S, [&](int k) {
         const int s = k / all_rows, i = k % all_rows;
@@ -72,7 +66,6 @@ class NewtonSystem {
         else sides[s].y[i - rows] += dy_[s][i - rows];
       });
     }
-    return refinements == 0 ? found : fold(g.packs, Parts{g.r, g.cone_count}, first, use);
   }
 
  private:
@@ -91,10 +84,8 @@ class NewtonSystem {
            },
            [&](int i) { out[i] = ry[i] - out[i]; },
            [&](int i) {
-             // of the bounds, which several lanes take and have no curvature, nothing is read that is written
              Entries px = g.of_primal(to.rx, p);
-             const Pack left = g.of_primal(side.rx, p)[i] - g.of_primal(to.x, p)[i];
-             px[i] = i < g.n ? left - px[i] : left;
+             px[i] = g.of_primal(side.rx, p)[i] - (px[i] + g.of_primal(to.x, p)[i]);
            });
   }
 
@@ -163,21 +154,20 @@ class NewtonSystem {
     });
   }
 
-  template <int S, typename Make, typename Found, typename Use>
-  JAXSCP_CALLED Found solve_once(const Scaling& w, const Side (&sides)[S], Make make, Found first, Use use) {
-    reduce<S>(w, sides, make);
+  template <int S>
+  JAXSCP_CALLED void solve_once(const Scaling& w, const Side (&sides)[S]) {
+    reduce<S>(w, sides);
     nodes_.template solve<S>(chain_, [&](int p, int i, int s) { return lacks(w, p, i, sides[s].rx, sides[s].ry); });
-    return conclude<S>(w, sides, first, use);
+    conclude<S>(w, sides);
   }
 
   // The right sides of the nodes' variables, cones and bounds eliminated.
-  template <int S, typename Make>
-  JAXSCP_CALLED void reduce(const Scaling& scaling, const Side (&sides)[S], Make make) {
+  template <int S>
+  JAXSCP_CALLED void reduce(const Scaling& scaling, const Side (&sides)[S]) {
     const Program& g = program_;
     const int n = g.n;
-    share(g.packs, g.parts(S), [&](int p, int k) {
-      make(k % S, p, k / S);
-      if (k / S < g.r + g.user_cones + g.has_norm) reduce_part(scaling, sides[k % S], k % S, p, k / S);
+    share(g.packs, Parts{g.r * S, (g.user_cones + g.has_norm) * S}, [&](int p, int k) {
+      reduce_part(scaling, sides[k % S], k % S, p, k / S);
     });
     share(g.packs, Parts{n * S}, [&](int p, int k) {
       const int j = k / S, s = k % S;
@@ -223,8 +213,8 @@ class NewtonSystem {
   }
 
   // Everything that was eliminated, from the nodes' variables and the multipliers of the links.
-  template <int S, typename Found, typename Use>
-  JAXSCP_CALLED Found conclude(const Scaling& scaling, const Side (&sides)[S], Found first, Use use) {
+  template <int S>
+  JAXSCP_CALLED void conclude(const Scaling& scaling, const Side (&sides)[S]) {
     const Program& g = program_;
     const int n = g.n, m = g.m;
     share(g.packs, Parts{(n + m) * S}, [&](int p, int k) {
@@ -238,9 +228,8 @@ class NewtonSystem {
         g.of_cones(side.y, p)[g.virtual_ + 1 + i - n] = v * found;
       }
     });
-    return fold(g.packs, Parts{g.r * S, g.cone_count * S}, first, [&](int p, int k, Found& found) {
+    share(g.packs, Parts{g.r * S, g.cone_count * S}, [&](int p, int k) {
       conclude_part(scaling, sides[k % S], k % S, p, k / S);
-      if (k % S == S - 1) use(p, k / S, found);
     });
   }
 

@@ -252,19 +252,16 @@ class Program : public ProgramLayout {
   }
 
   // What a place has to do, whatever that is: one part for each of its half-spaces, second-order cones, rows of the
-  // zero cone and variables. The bound of a norm is a variable that belongs to the norm's cone.
-  Parts parts(int sides = 1) const { return {r * sides, cone_count * sides, (m + n) * sides}; }
+  // zero cone and variables.
+  Parts parts(int sides = 1) const { return {r * sides, cone_count * sides, (m + primal.size) * sides}; }
 
   // Calls, for part k of a place, half_space(at), second_order(at, dimension, cone), zero_row(at) or variable(at):
-  // ``at`` is where it begins in a ConeVector, and for a variable in a Primal. All lanes of a cone call it for a bound.
+  // ``at`` is where it begins in a ConeVector, and for a variable in a Primal.
   template <typename HalfSpace, typename SecondOrder, typename ZeroRow, typename Variable>
   void part(int k, HalfSpace half_space, SecondOrder second_order, ZeroRow zero_row, Variable variable) const {
     if (k < r) return half_space(k);
     k -= r;
-    if (k < cone_count) {
-      if (k >= user_cones) variable(k == virtual_cone ? zeta : xi);
-      return second_order(cone_at(k).offset, cone_at(k).dimension, k);
-    }
+    if (k < cone_count) return second_order(cone_at(k).offset, cone_at(k).dimension, k);
     k -= cone_count;
     if (k < m) return zero_row(zero + k);
     variable(k - m);
