@@ -89,7 +89,7 @@ class Planner(eqx.Module):
             >>> scenario = jaxscp.scenarios.ascent_to_platform()
             >>> planner = jaxscp.Planner(nodes=10, method=jaxscp.SCP(max_iterations=1)).compile(scenario)
             >>> jaxscp.status_names(planner(scenario).status)
-            'iteration_limit'
+            'dynamics_unmet'
         """
         return ahead.compiled(self.plan_ahead(scenario, lanes))
 
