@@ -26,8 +26,8 @@ from jaxscp.types import Count, Flag, Scalar
 KEPT = 0.99  # of virtual control, from a subproblem to the next, where it will not vanish
 TIGHTER = 0.5  # times as accurate, from a subproblem to the next: errors that stay as large can keep steps so
 SHARE = 1e-3  # of what is ahead, to which a subproblem is solved
-TILE = 4096  # lanes that a GPU steps at once: of fewer, the last of a kernel leave more of it idle
 ENDING = 5e-5  # accuracy of a subproblem that may be the last: of a coarser one small steps say nothing
+TILE = 4096  # lanes that a GPU steps at once: of fewer, the last of a kernel leave more of it idle
 
 
 class Answer(eqx.Module):

@@ -26,10 +26,7 @@ CASES = {
     "three boxes": three_box,
 }
 
-COARSE = (
-    1e-3  # relative cost: what subproblems solved no better than needed change of a stop that is not optimal
-)
-
+COARSE = 1e-3  # relative: costs of stops, none optimal, of coarse and of exact subproblems
 GRIDS = 0.05  # relative: the stops of the paper's method on 30 and on 90 nodes, none of them optimal
 
 

@@ -261,19 +261,19 @@ class InteriorPoint {
     });
   }
 
-  // What the slacks' direction is to that of the multipliers; it may take the place of ``lifted``. Returns the longest
+  // The direction of the slacks, of that of the multipliers; it may take the place of ``lifted``. Returns the longest
   // step along both, at most one, that stays in the cones.
   JAXSCP_CALLED double find_slacks(Packs lifted) {
     const Program& g = program_;
     const Iterate& old = iterate_;
     const Iterate& out = direction_;
-    auto bound = [](auto v, auto d) { return where(d < 0.0, -v / d, all(1.0)); };
     const double step = fold(g.packs, Parts{g.r, g.cone_count}, Least{all(1.0)}, [&](int p, int k, Least& found) {
       auto see = [&](int of, Pack step) { found.see(where(within(p, of), step, all(1.0))); };
       if (const int i = k; i < g.r) {
         const Pack w = at(scaling_.w, p)[i], s = at(old.s, p)[i], y = at(old.y, p)[i], dy = at(out.y, p)[i];
         const Pack ds = -(at(lifted, p)[i] + w * w * dy);
         at(out.s, p)[i] = ds;
+        auto bound = [](Pack v, Pack d) { return where(d < 0.0, -v / d, all(1.0)); };
         see(g.nodes, smaller(bound(s, ds), bound(y, dy)));
       } else {
         auto [first, d, of_link] = g.cone_at(k - g.r);
@@ -288,8 +288,8 @@ class InteriorPoint {
         see(of_link ? g.nodes + 1 : g.nodes, far);
       }
     }).value();
-    auto of_number = [](double v, double d) { return d < 0.0 ? -v / d : 1.0; };
-    return least(step, least(of_number(old.tau, out.tau), of_number(old.kappa, out.kappa)));
+    auto bound = [](double v, double d) { return d < 0.0 ? -v / d : 1.0; };
+    return least(step, least(bound(old.tau, out.tau), bound(old.kappa, out.kappa)));
   }
 
   // Derivative of the embedding's last equation along the constant direction; always negative.
