@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int
 from jaxscp import rotations
 from jaxscp.allocation import route_positions
 from jaxscp.conic.interior_point import InteriorPoint
-from jaxscp.conic.program import Cones, Links, Multipliers, Near, NormCost, Rows, StagedProgram
+from jaxscp.conic.program import Cones, Links, NormCost, Rows, StagedProgram
 from jaxscp.landing import in_cone
 from jaxscp.mission import LandingScenario
 from jaxscp.status import StatusCode
@@ -55,10 +55,9 @@ def initial_guess(scenario: LandingScenario, allocation: Int[Array, "intervals"]
     scenario = eqx.tree_at(lambda s: s.goal, scenario, scenario.goal_at(duration))
     units = Units.of(scenario, allocation, duration)
     program = guess_program(scenario, allocation, units)
+    solution = GUESS_CONIC(program)
     nodes = program.nodes
     straight = route_positions(scenario.corridor, scenario.start.position, scenario.goal.position, allocation)
-    along = jnp.zeros_like(program.gradient).at[:, :3].set((straight - units.origin) / units.length)
-    solution = GUESS_CONIC(program, near=Near(along, Multipliers.zeros(program)))
     solved = jnp.all(jnp.isfinite(solution.z)) & (program.violation(solution.z) < GUESS_VIOLATION)
     position = jnp.where(solved, units.origin + units.length * solution.z[:, :3], straight)
     velocity = jnp.where(solved, units.speed * solution.z[:, 3:6], 0.0)

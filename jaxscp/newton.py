@@ -191,7 +191,7 @@ class NewtonSCP(eqx.Module):
         clipped = projected(_scaled(state.curvature, scale))
         hessian, gradient = _model(problem, state, now, clipped, scale)
         program = lifted_program(problem, state.z, state.linear, hessian, gradient, self.virtual_weight)
-        near = Near(jnp.zeros_like(program.gradient), state.prices)
+        near = Near(jnp.zeros_like(program.gradient), state.prices, state.iterations > 0)
         # a lane that has ended fills up a batch, and asks for nothing
         solution = self.conic(program, jnp.where(self.terminate(state), jnp.inf, 0.0), near)
 

@@ -75,11 +75,21 @@ def test_a_useless_point_does_no_harm(solvers, kind, what):
         np.testing.assert_allclose(found.objective, expected.objective, rtol=SAME_COST)
 
 
+def test_where_nothing_is_known_it_starts_from_afar(solvers):
+    afar, near = solvers
+    program = random_program(2)
+    nothing = Near(program.gradient, Multipliers.zeros(program), known=jnp.zeros((), bool))
+    expected, found = afar(program), near(program, nothing)
+    assert int(found.iterations) == int(expected.iterations)
+    np.testing.assert_array_equal(found.z, expected.z)
+
+
 def test_lanes_start_where_their_own_solution_is_thought_to_be():
     programs = [random_program(seed) for seed in range(3)]
     solver = jax.jit(InteriorPoint().__call__)
     nears = [near_of(solver(p)) for p in programs]
     nears[1] = eqx.tree_at(lambda n: n.z, nears[1], nears[1].z * jnp.nan)
+    nears = [Near(n.z, n.multipliers, jnp.ones((), bool)) for n in nears]
     started = jax.jit(lambda p, n: InteriorPoint()(p, 0.0, n))
     stacked = jax.tree.map(lambda *v: jnp.stack(v), *zip(programs, nears, strict=True))
     together = jax.jit(jax.vmap(lambda p, n: InteriorPoint()(p, 0.0, n)))(*stacked)

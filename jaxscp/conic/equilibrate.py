@@ -46,7 +46,7 @@ class Scales(eqx.Module):
         multipliers = Multipliers(
             given.links * self.cost / self.links, given.rows * self.cost / self.rows, cones
         )
-        return Near(near.z / self.columns, multipliers)
+        return Near(near.z / self.columns, multipliers, near.known)
 
 
 def equilibrate(program: StagedProgram, rounds: int = 3) -> tuple[StagedProgram, Scales]:

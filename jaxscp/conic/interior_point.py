@@ -109,7 +109,7 @@ class InteriorPoint(eqx.Module):
     max_iterations: int = eqx.field(default=50, static=True)
     regularisation: float = eqx.field(default=1e-11, static=True)
     refinements: int = eqx.field(default=1, static=True)
-    refine_below: float = eqx.field(default=1e-5, static=True)
+    refine_below: float = eqx.field(default=1e-4, static=True)
     equilibration: int = eqx.field(default=3, static=True)
     compiled: bool = eqx.field(default=True, static=True)
 
@@ -146,6 +146,9 @@ class InteriorPoint(eqx.Module):
     ) -> Ended:
         """The loop itself, on an equilibrated program; to the solver's own tolerance if to no other."""
         wanted = jnp.asarray(self.tolerance if tolerance is None else tolerance, program.gradient.dtype)
+        if near is not None:
+            # where nothing is known there is no number to start from, and the loop starts again
+            near = eqx.tree_at(lambda n: n.z, near, jnp.where(near.known, near.z, jnp.nan))
         program, scales, wanted, near = _without_derivative((program, scales, wanted, near))
         compiled = {}
         if self.compiled and native.serves(program):

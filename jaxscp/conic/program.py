@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 
 from jaxscp.conic.batched import times, transpose_times
 from jaxscp.status import StatusCode
-from jaxscp.types import Scalar
+from jaxscp.types import Flag, Scalar
 
 
 class Links(eqx.Module):
@@ -145,6 +145,8 @@ class Near(eqx.Module):
 
     z: Float[Array, "nodes variables"]
     multipliers: Multipliers
+    known: Flag | bool = True
+    """Whether anything is thought of it at all."""
 
 
 class ConicSolution(eqx.Module):
