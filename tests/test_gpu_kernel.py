@@ -35,6 +35,7 @@ SHAPES = {
     "quadratic cost, no cones": {"nodes": 4, "cones": 0, "norm": False},
     "more rows than lanes": {"nodes": 2, "variables": 20, "rows": 2},
     "a lane a row, and an odd column left": {"nodes": 3, "variables": 17, "rows": 2},
+    "a chain that shared memory has no room for": {"nodes": 190, "variables": 8, "rows": 2, "cones": 0},
     # of a nearly diagonal Hessian, with so many variables tied to each other
     "three tied": {"nodes": 5, "variables": 10, "rows": 4, "cones": 1, "tied": 3},
     "none tied": {"nodes": 3, "variables": 6, "rows": 3, "cones": 0, "tied": 1},

@@ -40,6 +40,9 @@ struct Packs {
   Pack& operator[](int i) const { return data[i]; }
 #endif
 
+  // So many of them, from one on.
+  Packs part(int first, int count) const { return {data ? data + first : nullptr, count}; }
+
   // Those at pack p, of ``count`` at every pack.
 #if defined(__CUDACC__)
   Entries of(int p, int) const { return {data, static_cast<unsigned>(p)}; }

@@ -62,7 +62,8 @@ inline void put_cones(const Program& p, Packs from, int cones, int width, double
 }
 
 inline void solve_lane(const Batch& batch, long long lane, Program& program, InteriorPoint& solver) {
-  const Given from = given(batch, program.sizes.groups, lane);
+  once([&] { program.given = given(batch, program.sizes.groups, lane); });
+  const Given& from = program.given;
   program.read(from);
   solver.run(from, *batch.cost_scale.of(lane), *batch.tolerance.of(lane));
 

@@ -17,8 +17,7 @@ class Chain {
  public:
   Chain(const Program& program, Arena& arena)
       : program_(program), blocks_(arena.take(kLinks * kOfLink)), inverse_(arena.take(kLinks * kBlockSize)),
-        step_(arena.take(kLinks * kBlockSize)), vector_(arena.take(kLinks * m * kSides)),
-        into_middle_(arena.take(2 * m * kSides)), solution_(arena.take(program.packs * m * kSides)) {}
+        step_(arena.take(kLinks * kBlockSize)), far_(arena.take(kSolutions - kOfChain)) {}
 
   // The matrix, in tiles: of link l the lower triangle of what it has itself and from the node behind it, and that of
   // what it has from the node before it.
@@ -114,7 +113,7 @@ class Chain {
   }
 
   // Row i of side s.
-  Pack solution(int p, int i, int s) const { return solution_.of(p, m * kSides)[i * kSides + s]; }
+  Pack solution(int l, int i, int s) const { return l < kLinks ? vector(l)[i * kSides + s] : 0.0; }
 
  private:
   static constexpr int m = ProgramLayout::m, kLinks = ProgramLayout::nodes + 1, kMiddle = kLinks / 2;
@@ -124,7 +123,9 @@ class Chain {
   static int count(int end) { return end == 0 ? kMiddle : kLinks - 1 - kMiddle; }
   static int link(int end, int t) { return end == 0 ? t : kLinks - 1 - t; }
 
-  double* vector(int l) const { return &vector_[l * m * kSides]; }
+  // What is known of a link's side, and then its solution.
+  double* vector(int l) const { return (kSolvedNear ? of_chain() : far_.data) + l * m * kSides; }
+  double* into_middle(int end) const { return vector(kLinks + end); }
   // By a team, a symmetric block by columns, of whose lower tile at ``at`` a lane has value(at, e), e < 2.
   template <typename Value>
   static void assemble(double* columns, Value value) {
@@ -135,8 +136,6 @@ class Chain {
     });
     __syncwarp();
   }
-  double& solution(int l, int s) const { return solution_.of(l, m * kSides)[lane_of_warp() * kSides + s]; }
-  double* into_middle(int end) const { return &into_middle_[end * m * kSides]; }
 
   // A matrix whose entries are ``down`` and ``along`` apart times S vectors side by side: a lane a row.
   template <int S>
@@ -168,8 +167,6 @@ class Chain {
       double v[S], theirs[S];
       read(kBack ? vector(kMiddle) : vector(at(0)), true, v);
       read_next(0, theirs);
-      if (kBack && end == 0 && lane < m)
-        for (int s = 0; s < S; ++s) solution(kMiddle, s) = v[s];
 #pragma unroll 1
       for (int i = 0; i < many; ++i) {
         double* mine = passed() + i % 2 * m * S;
@@ -182,7 +179,7 @@ class Chain {
         multiply<S>(room(i), kBack ? m : 1, kBack ? 1 : m, mine, sums);
         for (int s = 0; s < S; ++s) {
           v[s] = theirs[s] - sums[s], theirs[s] = later[s];
-          if (lane < m) (kBack ? solution(at(i), s) : next(i)[lane * kSides + s]) = v[s];
+          if (lane < m) next(i)[lane * kSides + s] = v[s];
         }
       }
       wait_for_fetched<0>();
@@ -190,7 +187,7 @@ class Chain {
   }
 
   const Program& program_;
-  Packs blocks_, inverse_, step_, vector_, into_middle_, solution_;
+  Packs blocks_, inverse_, step_, far_;  // the last: what shared memory has no room for
 };
 
 }  // namespace jaxscp

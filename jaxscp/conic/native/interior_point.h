@@ -12,11 +12,11 @@ struct Settings {
 };
 
 struct Iterate {
-  Packs x, y, s;
+  Packs all, x, y, s;
   double tau = 1.0, kappa = 1.0;
   Iterate(const Program& p, Arena& arena)
-      : x(arena.take(p.packs * p.primal.size)), y(arena.take(p.packs * p.cone.size)),
-        s(arena.take(y.size)) {}
+      : all(arena.take(p.packs * (p.primal.size + 2 * p.cone.size))), x(all.part(0, p.packs * p.primal.size)),
+        y(all.part(x.size, p.packs * p.cone.size)), s(all.part(x.size + y.size, y.size)) {}
 };
 
 // What is missing at an iterate, as numbers.
@@ -95,7 +95,8 @@ class InteriorPoint {
     const Program& g = program_;
     scaling_.set_unit();
     system_.factor(scaling_, settings_.regularisation);
-    system_.solve<1>(scaling_, settings_.refinements, {{against_, g.b, iterate_.x, iterate_.y}});
+    once([&] { sides_[0] = {against_, g.b, iterate_.x, iterate_.y}; });
+    system_.solve<1>(scaling_, settings_.refinements, sides_);
     share(iterate_.s.size, [&](int i) { iterate_.s[i] = -iterate_.y[i]; });
     lift_inside(iterate_.s);
     lift_inside(iterate_.y);
@@ -154,7 +155,10 @@ class InteriorPoint {
   }
 
   void begin(double kappa) {
-    once([&] { iterate_.tau = 1.0, iterate_.kappa = kappa; });
+    once([&] {
+      iterate_.tau = 1.0, iterate_.kappa = kappa;
+      sides_[0] = of_direction(), sides_[1] = {against_, program_.b, constant_x_, constant_y_};
+    });
     program_.clear_zero_cone(iterate_.s), program_.clear_zero_cone(direction_.s);  // where no step changes it
     const Measures found = measure(iterate_);
     once([&] {
@@ -175,7 +179,6 @@ class InteriorPoint {
   }
 
   void step() {
-    const Program& g = program_;
     const Residuals& r = residuals_;
     const Iterate& old = iterate_;
     const int rounds = refinements();
@@ -187,9 +190,8 @@ class InteriorPoint {
       if (i < rx_.size) rx_[i] = -r.x[i];
       else i -= rx_.size, ry_[i] = old.s[i] - r.y[i];
     });
-    const NewtonSystem::Side direction{rx_, ry_, direction_.x, direction_.y};
-    if (near_) system_.solve<1>(scaling_, rounds, {direction});
-    else system_.solve<2>(scaling_, rounds, {{against_, g.b, constant_x_, constant_y_}, direction});
+    if (near_) system_.solve<1>(scaling_, rounds, sides_);
+    else system_.solve<2>(scaling_, rounds, sides_);
     const double slope = near_ ? 0.0 : find_slope(), product = old.tau * old.kappa;
     embed(1.0, slope, product);
     const double left = 1.0 - find_slacks(old.s), sigma = left * left * left;
@@ -197,7 +199,7 @@ class InteriorPoint {
 
     // Mehrotra's combined direction: centring by sigma and second-order correction
     correct(1.0 - sigma, sigma * r.mu);
-    system_.solve<1>(scaling_, rounds, {direction});
+    system_.solve<1>(scaling_, rounds, sides_);
     embed(1.0 - sigma, slope, target);
     take(0.99 * find_slacks(direction_.s));
   }
@@ -321,14 +323,10 @@ class InteriorPoint {
     Iterate &old = iterate_, &next = direction_;
     double tau = old.tau + length * next.tau, kappa = old.kappa + length * next.kappa, unit = 1.0 / most(tau, kappa);
     once([&] { next.tau = unit * tau, next.kappa = unit * kappa; });
-    auto move = [&](Packs from, Packs to) {
-      const int many = to.size / g.packs;
-      fill(g.packs, many, [&](int p, int i) -> Pack& { return to.of(p, many)[i]; },
-           [&](int p, int i) { return unit * (from.of(p, many)[i] + length * to.of(p, many)[i]); });
-    };
-    move(old.x, next.x);
-    move(old.y, next.y);
-    move(old.s, next.s);
+    const int many = g.primal.size + 2 * g.cone.size;
+    const Packs from = old.all, to = next.all;
+    fill(g.packs, many, [&](int p, int i) -> Pack& { return to.of(p, many)[i]; },
+         [&](int p, int i) { return unit * (from.of(p, many)[i] + length * to.of(p, many)[i]); });
     const Measures found = measure(next);
     once([&] {
       double error = found.error, before = residuals_.error;
@@ -337,6 +335,7 @@ class InteriorPoint {
       stalled = length < 1e-6 || (before < settings_.loose_tolerance && error > 2.0 * before);
       if (!(broken || (stalled && error > before))) {
         swap(iterate_, direction_);
+        sides_[0] = of_direction();
         static_cast<Measures&>(residuals_) = found;
       }
       ++iterations;
@@ -389,6 +388,8 @@ class InteriorPoint {
     return m;
   }
 
+  NewtonSystem::Side of_direction() const { return {rx_, ry_, direction_.x, direction_.y}; }
+
   template <typename T>
   static void swap(T& a, T& b) {
     T kept = a;
@@ -407,6 +408,7 @@ class InteriorPoint {
   Scaling scaling_;
   Packs ry_, rx_;
   NewtonSystem system_;
+  NewtonSystem::Side sides_[kSides];  // of a step: its direction, and the embedding's constant one
   Packs constant_x_, constant_y_;
   Residuals residuals_;
   Packs against_;  // -q

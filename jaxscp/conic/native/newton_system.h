@@ -17,10 +17,11 @@ class NewtonSystem {
       rx_[s] = arena.take(program.packs * program.primal.size), dx_[s] = arena.take(rx_[s].size);
       ry_[s] = arena.take(program.packs * program.cone.size), dy_[s] = arena.take(ry_[s].size);
       trust_shift_[s] = arena.take(program.packs * program.n);
+      lacks_[s] = {rx_[s], ry_[s], dx_[s], dy_[s]};
     }
   }
 
-  // A right side and its solution.
+  // A right side and its solution. On a GPU they are to be in shared memory: each thread would have its copy in memory.
   struct Side {
     Packs rx, ry, x, y;
   };
@@ -47,18 +48,14 @@ class NewtonSystem {
   // Solve [P A'; A -W^2] (x, y) = (rx, ry) for S sides at once. Refinement is against this full system: it brings
   // back the digits that eliminating cones near their boundary loses.
   template <int S>
-  JAXSCP_CALLED void solve(const Scaling& scaling, int refinements, const Side (&sides)[S]) {
+  JAXSCP_CALLED void solve(const Scaling& scaling, int refinements, const Side* sides) {
     solve_once<S>(scaling, sides);
     for (int round = 0; round < refinements; ++round) {
-      Side lacks[S];
-      for (int s = 0; s < S; ++s) {
-        program_.times(sides[s].x, sides[s].y, rx_[s], ry_[s], dx_[s]);
-        lacks[s] = {rx_[s], ry_[s], dx_[s], dy_[s]};
-      }
+      for (int s = 0; s < S; ++s) program_.times(sides[s].x, sides[s].y, rx_[s], ry_[s], dx_[s]);
       share(program_.packs, program_.parts(S), [&](int p, int k) {
-        lack(scaling, sides[k % S], lacks[k % S], p, k / S);
+        lack(scaling, sides[k % S], lacks_[k % S], p, k / S);
       });
-      solve_once<S>(scaling, lacks);
+      solve_once<S>(scaling, lacks_);
       const int rows = dx_[0].size, all_rows = rows + dy_[0].size;
       share(all_rows * S, [&](int k) {
         const int s = k / all_rows, i = k % all_rows;
@@ -155,7 +152,7 @@ class NewtonSystem {
   }
 
   template <int S>
-  JAXSCP_CALLED void solve_once(const Scaling& w, const Side (&sides)[S]) {
+  JAXSCP_CALLED void solve_once(const Scaling& w, const Side* sides) {
     reduce<S>(w, sides);
     nodes_.template solve<S>(chain_, [&](int p, int i, int s) { return lacks(w, p, i, sides[s].rx, sides[s].ry); });
     conclude<S>(w, sides);
@@ -163,7 +160,7 @@ class NewtonSystem {
 
   // The right sides of the nodes' variables, cones and bounds eliminated.
   template <int S>
-  JAXSCP_CALLED void reduce(const Scaling& scaling, const Side (&sides)[S]) {
+  JAXSCP_CALLED void reduce(const Scaling& scaling, const Side* sides) {
     const Program& g = program_;
     const int n = g.n;
     share(g.packs, Parts{g.r * S, (g.user_cones + g.has_norm) * S}, [&](int p, int k) {
@@ -214,7 +211,7 @@ class NewtonSystem {
 
   // Everything that was eliminated, from the nodes' variables and the multipliers of the links.
   template <int S>
-  JAXSCP_CALLED void conclude(const Scaling& scaling, const Side (&sides)[S]) {
+  JAXSCP_CALLED void conclude(const Scaling& scaling, const Side* sides) {
     const Program& g = program_;
     const int n = g.n, m = g.m;
     share(g.packs, Parts{(n + m) * S}, [&](int p, int k) {
@@ -281,6 +278,7 @@ class NewtonSystem {
 
   Packs wide_[kSides];  // of nodes, as ConeVectors without links: what a phase passes to the next
   Packs trust_shift_[kSides], rx_[kSides], ry_[kSides], dx_[kSides], dy_[kSides];
+  Side lacks_[kSides];  // of the last four, in refinement
 };
 
 }  // namespace jaxscp

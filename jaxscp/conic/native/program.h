@@ -166,6 +166,7 @@ class Program : public ProgramLayout {
   Matrix hessian, after, before, rows, user;  // ``before``: E of the link after the node
   Packs soft, scale;
   Packs q, b;
+  Given given;  // where it was read from
 
   Program(const Layout& layout, Arena& arena)
       : ProgramLayout(layout), hessian(n, n, packs, arena), after(m, n, packs, arena), before(m, n, packs, arena),

@@ -33,12 +33,17 @@ inline void each_lower_tile(Act act) {
     for (int t = 0; t <= s; ++t) act(lower_tile(s, t), 8 * s + row, 8 * t + column);
 }
 
-constexpr int kBlockSize = even(kLayout.m * kLayout.m);  // of a block by columns
+constexpr int kLine = 16;  // numbers that memory gives at once, where they begin at a multiple
+constexpr int kBlockSize = (kLayout.m * kLayout.m + kLine - 1) / kLine * kLine;  // of a block by columns
 constexpr int kFetched = 3;  // blocks of the chain that are in use or on their way
 constexpr int kAhead = larger_of(kOfLink, kFetched * kBlockSize);  // of an end of the chain
+// Solutions of the chain, of two sides, and what is passed to its middle from both ends; unless it is too long.
+constexpr int kSolutions = 2 * (kLayout.nodes + 3) * kLayout.m;
+constexpr bool kSolvedNear = kSolutions <= 1536;
+constexpr int kOfChain = kSolvedNear ? kSolutions : 0;
 // Both ends are eliminated in tiles of two warps; what they fetch is where other warps have theirs.
 constexpr int shared_room_of(int warps) {
-  return warps * kPassed + larger_of(larger_of(warps, 2) * kTileSize, 2 * (kTileSize + kAhead));
+  return warps * kPassed + kOfChain + larger_of(larger_of(warps, 2) * kTileSize, 2 * (kTileSize + kAhead));
 }
 
 #if defined(JAXSCP_EMULATED_GPU)
@@ -81,7 +86,8 @@ inline void wait_for_fetched() {
 #endif
 
 inline double* passed() { return shared_room() + warp_of_block() * kPassed; }
-inline double* tiles() { return shared_room() + warps() * kPassed; }
+inline double* of_chain() { return shared_room() + warps() * kPassed; }
+inline double* tiles() { return of_chain() + kOfChain; }
 inline double* tile_of_warp() { return tiles() + warp_of_block() * kTileSize; }
 inline double* ahead_of(int end) { return tiles() + 2 * kTileSize + end * kAhead; }
 
