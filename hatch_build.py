@@ -13,7 +13,7 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 SHARED = Path("jaxscp/libraries")
 LIBRARIES = {  # with what is compiled for a level of the instruction set, and what for any
-    Path("jaxscp/conic/native/interior_point"): (("handler", "scales_handler"), ("gpu_handler",)),
+    Path("jaxscp/conic/native/interior_point"): (("handler",), ("gpu_handler",)),
     Path("jaxscp/normal/native/normal"): (("handler",), ()),
     Path("jaxscp/riccati/native/riccati"): (("handler",), ()),
     Path("jaxscp/semidefinite/native/semidefinite"): (("handler",), ()),

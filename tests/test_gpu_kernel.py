@@ -16,7 +16,6 @@ import pytest
 
 from jaxscp import libraries
 from jaxscp.conic import native
-from jaxscp.conic.equilibrate import equilibrate
 from jaxscp.conic.examples import random_program
 from jaxscp.conic.interior_point import InteriorPoint
 from jaxscp.conic.native import gpu
@@ -98,7 +97,7 @@ def program_of(seed, tied=None, **sizes):
 
 
 def iterate(solver, programs, near=None):
-    return eqx.filter_jit(jax.vmap(lambda p, n: solver.iterate(*equilibrate(p), None, n)))(programs, near)
+    return eqx.filter_jit(jax.vmap(lambda p, n: solver.iterate(p, None, n)))(programs, near)
 
 
 @needs_compiler

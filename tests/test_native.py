@@ -8,10 +8,9 @@ import pytest
 
 from jaxscp import status_names
 from jaxscp.conic import native
-from jaxscp.conic.equilibrate import _scales, _scales_in_cpp, equilibrate
+from jaxscp.conic.equilibrate import equilibrate
 from jaxscp.conic.examples import random_program
 from jaxscp.conic.interior_point import InteriorPoint
-from jaxscp.conic.native import scales as native_scales
 
 pytestmark = pytest.mark.skipif(
     not native.LIBRARY.available(),
@@ -27,7 +26,7 @@ STEPS = 4
 
 
 def iterate(solver, program):
-    return eqx.filter_jit(lambda p: solver.iterate(*equilibrate(p)))(program)
+    return eqx.filter_jit(lambda p: solver.iterate(p))(program)
 
 
 def assert_same(a, b, tolerance):
@@ -63,6 +62,7 @@ def test_steps_are_the_same_to_rounding(shape):
     ours, jaxs = (iterate(InteriorPoint(max_iterations=STEPS, compiled=c), program) for c in (True, False))
     assert int(ours.iterations) == int(jaxs.iterations)
     assert_same(jaxs.iterate, ours.iterate, ROUNDING)
+    assert_same(jaxs.scales, ours.scales, SAME_SUMS)
     assert_same([jaxs.error, jaxs.infeasibility], [ours.error, ours.infeasibility], ROUNDING)
 
 
@@ -112,7 +112,9 @@ def test_every_level_that_runs_here_gives_the_same(at_level):
     program = random_program(2, nodes=17)
     expected = iterate(InteriorPoint(max_iterations=STEPS), program)
     at_level(native, "TARGET")
-    assert_same(expected.iterate, iterate(InteriorPoint(max_iterations=STEPS), program).iterate, ROUNDING)
+    found = iterate(InteriorPoint(max_iterations=STEPS), program)
+    assert_same(expected.iterate, found.iterate, ROUNDING)
+    assert_same(expected.scales, found.scales, SAME_SUMS)
 
 
 def test_lanes_are_bitwise_those_solved_alone(both):
@@ -131,12 +133,12 @@ def test_lanes_are_bitwise_those_solved_alone(both):
 
 def test_who_helps_does_not_change_the_answer():
     """A program alone is solved by as many threads as are free, a batch with a thread for each."""
-    given = jax.jit(equilibrate)(random_program(3, nodes=40))
+    given = random_program(3, nodes=40)
     pair = jax.tree.map(lambda v: jnp.stack([v, v]), given)
-    expected = jax.jit(jax.vmap(InteriorPoint().iterate))(*pair)
+    expected = jax.jit(jax.vmap(InteriorPoint().iterate))(pair)
     alone = jax.jit(InteriorPoint().iterate)
     for _ in range(100):
-        for one, of_pair in zip(jax.tree.leaves(alone(*given)), jax.tree.leaves(expected), strict=True):
+        for one, of_pair in zip(jax.tree.leaves(alone(given)), jax.tree.leaves(expected), strict=True):
             np.testing.assert_array_equal(one, of_pair[0])
 
 
@@ -159,12 +161,6 @@ def test_a_program_of_several_kinds_of_numbers_is_scaled_too():
         _, expected = jax.jit(equilibrate)(same)
         _, found = jax.jit(equilibrate)(mixed)
     assert_same(expected, found, 1e-6)  # some of it is computed in float32
-
-
-def test_scales_refuse_numbers_that_they_cannot_read():
-    small = jax.tree.map(lambda v: v.astype(jnp.float32), random_program(0))
-    with pytest.raises(Exception, match="not of float64"):
-        jax.block_until_ready(_scales_in_cpp(small, 1))
 
 
 @pytest.mark.parametrize("batched", [False, True], ids=["one", "batch"])
@@ -193,25 +189,11 @@ def test_scales_are_those_of_jax(shape):
             program.links.soft.at[0].set(0.0),
         ),
     )
-    expected = jax.jit(lambda p: _scales(p, 3))(program)
-    found = jax.jit(lambda p: _scales_in_cpp(p, 3))(program)
-    assert_same(expected, found, SAME_SUMS)
+    assert_same(scales_of(program, compiled=False), scales_of(program), SAME_SUMS)
     without = eqx.tree_at(lambda p: p.norm, program, None, is_leaf=lambda v: v is None)
-    assert_same(_scales(without, 1), _scales_in_cpp(without, 1), SAME_SUMS)
+    assert_same(scales_of(without, 1, compiled=False), scales_of(without, 1), SAME_SUMS)
 
 
-def test_every_level_gives_the_same_scales(at_level):
-    program = random_program(2, nodes=9, variables=13)
-    expected = _scales(program, 3)
-    at_level(native_scales, "TARGET")
-    assert_same(expected, _scales_in_cpp(program, 3), SAME_SUMS)
-
-
-def test_scales_of_a_batch_are_those_of_its_lanes():
-    lanes = [random_program(seed) for seed in range(5)]
-    programs = jax.tree.map(lambda *v: jnp.stack(v), *lanes)
-    spoilt = eqx.tree_at(lambda p: p.hessian, programs, programs.hessian.at[2].set(jnp.nan))
-    found = jax.jit(jax.vmap(lambda p: _scales_in_cpp(p, 3)))(spoilt)
-    for i in (0, 1, 3, 4):
-        for a, b in zip(jax.tree.leaves(_scales_in_cpp(lanes[i], 3)), jax.tree.leaves(found), strict=True):
-            np.testing.assert_array_equal(b[i], a)
+def scales_of(program, rounds=3, compiled=True):
+    solver = InteriorPoint(max_iterations=0, equilibration=rounds, compiled=compiled)
+    return jax.jit(lambda p: solver.iterate(p).scales)(program)

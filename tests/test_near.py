@@ -105,11 +105,9 @@ def test_lanes_start_where_their_own_solution_is_thought_to_be():
 def test_the_loop_starts_as_jax_does(norm):
     program = random_program(4, norm=norm)
     solution = jax.jit(InteriorPoint().__call__)(moved(program, 0.1))
-    scaled, scales = jax.jit(equilibrate)(program)
-    near = scales.apply(near_of(solution))
     ours, jaxs = (
-        jax.jit(lambda p, s, n, c=c: InteriorPoint(max_iterations=STEPS, compiled=c).iterate(p, s, None, n))(
-            scaled, scales, near
+        jax.jit(lambda p, n, c=c: InteriorPoint(max_iterations=STEPS, compiled=c).iterate(p, None, n))(
+            program, near_of(solution)
         )
         for c in (True, False)
     )

@@ -14,7 +14,6 @@ import numpy as np
 from benchmarks.speed.batches import REPEATS, instances
 from benchmarks.speed.timing import elapsed
 from jaxscp import SCP, Planner
-from jaxscp.conic.equilibrate import equilibrate
 from jaxscp.conic.program import Near
 from jaxscp.convexify import convexify
 
@@ -39,15 +38,13 @@ def run(echo: Callable[[str], None], nodes: int, lanes: int) -> dict[str, Any]:
 
 
 def recorded(method: SCP, nodes: int, flights: int) -> list[Any]:
-    """What the interior point is given of the subproblems of as many plans: equilibrated programs with their scales,
-    accuracies, and points that are thought near; on the host."""
+    """What the interior point is given of the subproblems of as many plans: programs, accuracies, and points
+    that are thought near; on the host."""
     planner = Planner(nodes=nodes, method=method)
 
     def given(problem, state):
         program, _ = convexify(problem, state.z, state.flow, method.trust_region, method.virtual_weight)
-        scaled, scales = equilibrate(program, method.conic.equilibration)
-        near = scales.apply(Near(state.z, state.prices))
-        return scaled, scales, jnp.maximum(method.conic.tolerance, method.accuracy(state)), near
+        return program, jnp.maximum(method.conic.tolerance, method.accuracy(state)), Near(state.z, state.prices)
 
     with jax.default_device(jax.devices("cpu")[0]):
         problem, z, _ = jax.jit(jax.vmap(planner.setup))(instances(jax.random.key(7), flights))

@@ -4,16 +4,12 @@ A second-order cone admits one scale for all its rows, and so do the soft rows o
 control is measured by one Euclidean norm. Hard rows and half-spaces are scaled one by one.
 """
 
-import functools
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxscp.conic.native import scales as native_scales
 from jaxscp.conic.program import Cones, Links, Multipliers, Near, NormCost, Rows, StagedProgram
-from jaxscp.libraries import choose, in_float64
 from jaxscp.types import Scalar
 
 _LOWEST, _HIGHEST = 1e-4, 1e4  # limits on each scale, as in OSQP and Clarabel
@@ -52,18 +48,8 @@ class Scales(eqx.Module):
 def equilibrate(program: StagedProgram, rounds: int = 3) -> tuple[StagedProgram, Scales]:
     """Scale a program; ``Scales.restore`` takes its solution back, which does not depend on the scales: they have no
     derivative."""
-    in_cpp = in_float64(program) and native_scales.LIBRARY.available()
-    scales = choose(
-        functools.partial(_scales_in_cpp, rounds=rounds) if in_cpp else None,
-        functools.partial(_scales, rounds=rounds),
-        jax.lax.stop_gradient(program),
-    )
+    scales = _scales(jax.lax.stop_gradient(program), rounds)
     return scaled_by(program, scales), scales
-
-
-def _scales_in_cpp(program: StagedProgram, rounds: int) -> Scales:
-    columns, links, rows, *cones, cost = native_scales.scales(program, rounds)
-    return Scales(columns, links, rows, tuple(cones), cost)
 
 
 def _scales(program: StagedProgram, rounds: int) -> Scales:

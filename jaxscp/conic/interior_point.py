@@ -20,6 +20,7 @@ from jaxscp.conic.equilibrate import Scales, equilibrate
 from jaxscp.conic.kkt import Primal
 from jaxscp.conic.near import central_start
 from jaxscp.conic.program import ConicSolution, Multipliers, Near, StagedProgram
+from jaxscp.libraries import choose
 from jaxscp.status import Status, StatusCode
 from jaxscp.types import Count, Scalar
 
@@ -71,7 +72,7 @@ class Progress(eqx.Module):
 
 
 class Ended(eqx.Module):
-    """What the loop ended with."""
+    """What the loop ended with, in the units of its scales."""
 
     iterate: Iterate
     error: Scalar
@@ -80,6 +81,7 @@ class Ended(eqx.Module):
     iterations: Int[Array, ""]
     stalled: Bool[Array, ""]
     broken: Bool[Array, ""]
+    scales: Scales
 
 
 class InteriorPoint(eqx.Module):
@@ -128,40 +130,35 @@ class InteriorPoint(eqx.Module):
         Returns:
             A ``ConicSolution``; ``z`` is always finite, its ``status`` says what it is worth.
         """
-        scaled, scales = equilibrate(program, self.equilibration)
         tolerance = jnp.maximum(self.tolerance, jnp.asarray(accuracy, program.gradient.dtype))
-        ended = self.iterate(scaled, scales, tolerance, None if near is None else scales.apply(near))
+        ended = self.iterate(program, tolerance, near)
         x, y, _ = ended.iterate.solution()
-        z, multipliers = restored(scaled, scales, x, y)
+        z, multipliers = restored(program, ended.scales, x, y)
         return ConicSolution(
             z, multipliers, program.objective(z), self.status(ended, tolerance), ended.iterations
         )
 
     def iterate(
-        self,
-        program: StagedProgram,
-        scales: Scales,
-        tolerance: Scalar | float | None = None,
-        near: Near | None = None,
+        self, program: StagedProgram, tolerance: Scalar | float | None = None, near: Near | None = None
     ) -> Ended:
-        """The loop itself, on an equilibrated program; to the solver's own tolerance if to no other."""
+        """The loop itself, on the equilibrated program; to the solver's own tolerance if to no other."""
         wanted = jnp.asarray(self.tolerance if tolerance is None else tolerance, program.gradient.dtype)
         if near is not None:
             # where nothing is known there is no number to start from, and the loop starts again
             near = eqx.tree_at(lambda n: n.z, near, jnp.where(near.known, near.z, jnp.nan))
-        program, scales, wanted, near = _without_derivative((program, scales, wanted, near))
-        compiled = {}
-        if self.compiled and native.serves(program):
-            compiled["cpu"] = functools.partial(self._iterate_compiled, native.call)
-        if self.compiled and native.serves_on_gpu(program):
-            compiled["cuda"] = functools.partial(self._iterate_compiled, native.call_on_gpu)
-        if not compiled:
-            return self._iterate(program, scales, wanted, near)
-        if jax.default_backend() == "cpu":  # which spares tracing what another device would run
-            return compiled["cpu"](program, scales, wanted, near)
-        return jax.lax.platform_dependent(program, scales, wanted, near, **compiled, default=self._iterate)
+        given = _without_derivative((program, wanted, near))
+        cpu = self.compiled and native.serves(program)
+        cuda = self.compiled and native.serves_on_gpu(program)
+        return choose(
+            functools.partial(self._iterate_compiled, native.call) if cpu else None,
+            self._iterate,
+            *given,
+            cuda=functools.partial(self._iterate_compiled, native.call_on_gpu) if cuda else None,
+        )
 
-    def _iterate(self, program: StagedProgram, scales: Scales, tolerance: Scalar, near: Near | None) -> Ended:
+    def _iterate(self, given: StagedProgram, tolerance: Scalar, near: Near | None) -> Ended:
+        program, scales = equilibrate(given, self.equilibration)
+
         def steps(start: Progress, newton: type[_Newton]) -> Progress:
             most = start.iterations + self.max_iterations
             return jax.lax.while_loop(
@@ -173,17 +170,19 @@ class InteriorPoint(eqx.Module):
         if near is None:
             progress = steps(self._start(program, scales), _Embedded)
         else:
-            start = _started(program, scales, Iterate.near(program, near))
+            start = _started(program, scales, Iterate.near(program, scales.apply(near)))
             progress = steps(start, _Newton)
             decided = self._decided(progress, tolerance)
             anew = lambda p: eqx.tree_at(lambda q: q.iterations, self._start(program, scales), p.iterations)  # noqa: E731
             progress = steps(jax.lax.cond(decided, lambda p: p, anew, progress), _Embedded)
         r = progress.residuals
         measures = r.error, r.infeasibility, r.unboundedness
-        return Ended(progress.iterate, *measures, progress.iterations, progress.stalled, progress.broken)
+        return Ended(
+            progress.iterate, *measures, progress.iterations, progress.stalled, progress.broken, scales
+        )
 
     def _iterate_compiled(
-        self, call, program: StagedProgram, scales: Scales, tolerance: Scalar, near: Near | None
+        self, call, program: StagedProgram, tolerance: Scalar, near: Near | None
     ) -> Ended:
         names = (
             "proof_tolerance",
@@ -192,15 +191,18 @@ class InteriorPoint(eqx.Module):
             "max_iterations",
             "refinements",
             "refine_below",
+            "equilibration",
         )
         settings = {name: getattr(self, name) for name in names}
-        found = call(program, scales.cost, tolerance, near, **settings)
-        z, xi, zeta, y_zero, y_orthant, y_second, s_orthant, s_second, tau, kappa, *measures = found
+        found = call(program, tolerance, near, **settings)
+        z, xi, zeta, y_zero, y_orthant, y_second, s_orthant, s_second, tau, kappa, *rest = found
         y, s = (
             ConeVector(y_zero, y_orthant, y_second),
             ConeVector(jnp.zeros_like(y_zero), s_orthant, s_second),
         )
-        return Ended(Iterate(Primal(z, xi, zeta), y, s, tau, kappa), *measures)
+        columns, links, rows, *of_cones, cost = rest[6:]
+        scales = Scales(columns, links, rows, tuple(of_cones), cost)
+        return Ended(Iterate(Primal(z, xi, zeta), y, s, tau, kappa), *rest[:6], scales)
 
     def status(self, r: Ended, tolerance: Scalar | float | None = None) -> StatusCode:
         """How the loop ended, of which its tolerance decides; the solver's own if no other."""
@@ -277,11 +279,11 @@ def _refuse(primals, tangents):
 
 
 def restored(
-    scaled: StagedProgram, scales: Scales, x: Primal, y: ConeVector
+    program: StagedProgram, scales: Scales, x: Primal, y: ConeVector
 ) -> tuple[Float[Array, "nodes variables"], Multipliers]:
     """Node variables and multipliers of the given program, from those of the equilibrated one."""
-    user, _, _ = kkt.unpack(scaled, y.second)
-    return scales.restore(x.z, Multipliers(kkt.link_multiplier(scaled, y), y.orthant, tuple(user)))
+    user, _, _ = kkt.unpack(program, y.second)
+    return scales.restore(x.z, Multipliers(kkt.link_multiplier(program, y), y.orthant, tuple(user)))
 
 
 class _Newton:

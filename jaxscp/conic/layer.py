@@ -26,7 +26,7 @@ from jaxscp.conic import kkt
 from jaxscp.conic.augmented import System, Unknowns, factorise
 from jaxscp.conic.central_path import centre, conditions, lagrangian
 from jaxscp.conic.cones import ConeVector, tree_axpy
-from jaxscp.conic.equilibrate import equilibrate, scaled_by
+from jaxscp.conic.equilibrate import scaled_by
 from jaxscp.conic.implicit import once, symmetric_solve
 from jaxscp.conic.interior_point import InteriorPoint, restored
 from jaxscp.conic.kkt import Primal
@@ -93,8 +93,8 @@ class ConicLayer(eqx.Module):
         """
         program = _with_symmetric_hessian(program)
         given = jax.lax.stop_gradient(program)
-        scaled, scales = equilibrate(given, self.solver.equilibration)
-        ended = self.solver.iterate(scaled, scales)
+        ended = self.solver.iterate(given)
+        scales, scaled = ended.scales, scaled_by(given, ended.scales)
         x, y, s = ended.iterate.solution()
         point = centre(scaled, x, tree_axpy(-1.0, y, s), self.mu, self.tolerance, self.steps)
         reached = point.error <= self.tolerance  # which proves it optimal, whatever ended the interior point

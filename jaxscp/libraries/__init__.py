@@ -71,7 +71,7 @@ class Library(NamedTuple):
 _PACKAGE = Path(__file__).parents[1]
 INTERIOR_POINT = Library(
     _PACKAGE / "conic/native/interior_point",
-    ("jaxscp_interior_point", "jaxscp_scales"),
+    ("jaxscp_interior_point",),
     "jaxscp_interior_point_on_gpu",
 )
 NORMAL = Library(_PACKAGE / "normal/native/normal", ("jaxscp_normal",))

@@ -13,10 +13,10 @@ which they build on each other:
     chain_from_ends.h, chain_by_warps.h     the chain of links factored, on a CPU and on a GPU
     nearly_diagonal.h                       a node's inverse where few of its variables are tied, on a GPU
     nodes_by_panels.h, nodes_by_warps.h     the nodes eliminated and the chain with them; ``nodes.h`` chooses
+    scales.h                                its scales, and the program in their units
     newton_system.h interior_point.h        the method, the same text on both
     batch.h buffers.h          lanes of a batch, as XLA passes them
     handler.cc                 what XLA calls on a CPU: a thread a lane, or for a single lane all that are free
-    scales.h scales_handler.cc the scales of a program, on a CPU; ``scales.py`` calls it
     kernel.cu gpu_handler.cc   the kernel, and what XLA calls to launch it; ``gpu.py`` compiles it
 
 The libraries are compiled when the package is installed, if there is a C++ compiler. Without them, on other devices,
@@ -36,7 +36,7 @@ from jaxscp.conic.program import Near, StagedProgram
 from jaxscp.types import Scalar
 
 LIBRARY = libraries.INTERIOR_POINT
-TARGET, _ = LIBRARY.targets
+(TARGET,) = LIBRARY.targets
 MAX_GROUPS, MAX_CONES, MAX_LINES = 32, 256, 1 << 15  # of a node, as in ``layout.h``
 
 
@@ -58,40 +58,29 @@ def _numbers_fit(program: StagedProgram) -> bool:
     return libraries.in_float64(program) and few and lines <= MAX_LINES and links > 0
 
 
-def call(
-    program: StagedProgram, cost: Scalar, tolerance: Scalar, near: Near | None = None, **settings: float | int
-):
-    """Solve an equilibrated program on a CPU.
+def call(program: StagedProgram, tolerance: Scalar, near: Near | None = None, **settings: float | int):
+    """Equilibrate and solve a program on a CPU.
 
     Args:
         program: in float64.
-        cost: what its cost was multiplied by.
         tolerance: relative gap and residuals at which it counts as solved.
         near: where its solution is thought to be.
         settings: of the ``InteriorPoint``, by its own names.
 
     Returns:
-        The arrays of the last iterate, (x, y, s, tau, kappa), then error, infeasibility, unboundedness, iterations,
-        stalled, broken; the zero cone's slack, which is zero, is left out.
+        The arrays of the last iterate, (x, y, s, tau, kappa), in equilibrated units, then error, infeasibility,
+        unboundedness, iterations, stalled, broken, and then the scales, in their order; the zero cone's slack, which is
+        zero, is left out.
     """
-    return _call(TARGET, program, cost, tolerance, near, settings)
+    return _call(TARGET, program, tolerance, near, settings)
 
 
-def call_on_gpu(
-    program: StagedProgram, cost: Scalar, tolerance: Scalar, near: Near | None = None, **settings: float | int
-):
-    """Solve an equilibrated program on the GPU that is JAX's default device; see ``call``."""
-    return _call(gpu.TARGET, program, cost, tolerance, near, settings | gpu.attributes(program))
+def call_on_gpu(program: StagedProgram, tolerance: Scalar, near: Near | None = None, **settings: float | int):
+    """Equilibrate and solve a program on the GPU that is JAX's default device; see ``call``."""
+    return _call(gpu.TARGET, program, tolerance, near, settings | gpu.attributes(program))
 
 
-def _call(
-    target: str,
-    program: StagedProgram,
-    cost: Scalar,
-    tolerance: Scalar,
-    near: Near | None,
-    attributes: dict,
-):
+def _call(target: str, program: StagedProgram, tolerance: Scalar, near: Near | None, attributes: dict):
     q, b = kkt.linear_cost(program), kkt.right_side(program)
     like = lambda v: jax.ShapeDtypeStruct(v.shape, v.dtype)  # noqa: E731
     scalar, flag = jax.ShapeDtypeStruct((), jnp.float64), jax.ShapeDtypeStruct((), jnp.bool_)
@@ -107,7 +96,7 @@ def _call(
         links.soft,
         links.weight,
     ]
-    arrays += [program.rows.matrix, program.rows.offset, cost, tolerance]
+    arrays += [program.rows.matrix, program.rows.offset, tolerance]
     for cone in program.cones:
         arrays += [cone.matrix, cone.offset]
     if norm is not None:
@@ -115,6 +104,8 @@ def _call(
     if near is not None:
         arrays += [near.z, near.multipliers.links, near.multipliers.rows, *near.multipliers.cones]
     has = {"has_norm": np.int64(norm is not None), "has_near": np.int64(near is not None)}
-    results = [*vectors, *[scalar] * 5, count, flag, flag]
+    of_cones = [jax.ShapeDtypeStruct(c.offset.shape[:2], jnp.float64) for c in program.cones]
+    scales = [*map(like, (program.gradient, links.offset, program.rows.offset)), *of_cones, scalar]
+    results = [*vectors, *[scalar] * 5, count, flag, flag, *scales]
     solve = jax.ffi.ffi_call(target, results, vmap_method="broadcast_all")
     return solve(*arrays, **has, **attributes)

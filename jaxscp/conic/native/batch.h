@@ -15,13 +15,12 @@ using Input = Lanes<const double>;
 using Output = Lanes<double>;
 
 // Of what a handler passes to a kernel: to be raised with every change of ``Batch``, as either may be of another time.
-constexpr long long kVersion = 5;
+constexpr long long kVersion = 6;
 
 struct Batch {
   long long lanes;
   Settings settings;
-  Input hessian, gradient, before, after, link_offset, soft, link_weight, row_matrix, row_offset, cost_scale,
-      tolerance;
+  Input hessian, gradient, before, after, link_offset, soft, link_weight, row_matrix, row_offset, tolerance;
   Input cone_matrix[kMaxGroups], cone_offset[kMaxGroups];
   Input norm_weight, norm_scale, norm_centre;
   Input near_z, near_links, near_rows, near_cones[kMaxGroups];  // nothing where no point is thought to be near
@@ -29,6 +28,7 @@ struct Batch {
   int cones, width;  // second-order cones of all places together, and the largest dimension
   Lanes<long long> iterations;
   Lanes<bool> stalled, broken;
+  Output scales_of_columns, scales_of_links, scales_of_rows, scales_of_cones[kMaxGroups], scale_of_cost;
 };
 
 inline Given given(const Batch& v, int groups, long long lane) {
@@ -61,11 +61,28 @@ inline void put_cones(const Program& p, Packs from, int cones, int width, double
   group(p.virtual_, {1, 1 + p.m}, p.nodes + 1);
 }
 
-inline void solve_lane(const Batch& batch, long long lane, Program& program, InteriorPoint& solver) {
+inline void put_scales(const Program& p, const Scales& from, const Batch& batch, long long lane) {
+  scatter(from.columns, 0, p.n, p.nodes, p.n, batch.scales_of_columns.of(lane));
+  scatter(from.links, 0, p.m, p.nodes + 1, p.m, batch.scales_of_links.of(lane));
+  scatter(from.rows, 0, p.r, p.nodes, p.r, batch.scales_of_rows.of(lane));
+  int offset = 0;
+  for (int c = 0; c < p.sizes.groups; ++c) {
+    const ConeShape group = p.sizes.cones[c];
+    double* to = batch.scales_of_cones[c].of(lane);
+    share(p.nodes, Parts{group.count}, [&](int k, int i) {
+      to[k * group.count + i] = get(from.user.of(k / kWidth, p.u)[offset + i * group.dimension], k % kWidth);
+    });
+    offset += group.count * group.dimension;
+  }
+  once([&] { *batch.scale_of_cost.of(lane) = from.cost; });
+}
+
+inline void solve_lane(const Batch& batch, long long lane, Program& program, Scales& scales, InteriorPoint& solver) {
   once([&] { program.given = given(batch, program.sizes.groups, lane); });
   const Given& from = program.given;
   program.read(from);
-  solver.run(from, *batch.cost_scale.of(lane), *batch.tolerance.of(lane));
+  scales.apply(batch.settings.equilibration);
+  solver.run(from, *batch.tolerance.of(lane));
 
   const Program& p = program;
   const Iterate& v = solver.iterate();
@@ -77,6 +94,7 @@ inline void solve_lane(const Batch& batch, long long lane, Program& program, Int
   scatter(v.s, 0, p.cone.size, p.nodes, p.r, batch.s_orthant.of(lane));
   put_cones(p, v.y, batch.cones, batch.width, batch.y_second.of(lane));
   put_cones(p, v.s, batch.cones, batch.width, batch.s_second.of(lane));
+  put_scales(p, scales, batch, lane);
   once([&] {
     *batch.tau.of(lane) = v.tau, *batch.kappa.of(lane) = v.kappa;
     const Residuals& r = solver.residuals();

@@ -32,7 +32,8 @@ inline ffi::ErrorOr<Shaped> shaped(ffi::RemainingArgs args, ffi::RemainingRets r
     return v.has_value() ? static_cast<int>(*v) : 0;
   };
   b.settings = {number("proof_tolerance"), number("loose_tolerance"),
-                number("regularisation"), number("refine_below"), integer("max_iterations"), integer("refinements")};
+                number("regularisation"), number("refine_below"), integer("max_iterations"), integer("refinements"),
+                integer("equilibration")};
   s.sizes.has_norm = integer("has_norm") != 0;
 
   // axes from the end: of the last, one
@@ -45,8 +46,8 @@ inline ffi::ErrorOr<Shaped> shaped(ffi::RemainingArgs args, ffi::RemainingRets r
     if (first) *first = axis(*v, 2);
     if (second) *second = axis(*v, 1);
   };
-  constexpr size_t kCostScale = 9;  // has one number a lane
-  if (auto v = args.get<ffi::Buffer<ffi::F64>>(kCostScale); v.has_value()) b.lanes = v->element_count();
+  constexpr size_t kTolerance = 9;  // has one number a lane
+  if (auto v = args.get<ffi::Buffer<ffi::F64>>(kTolerance); v.has_value()) b.lanes = v->element_count();
   size_t next = 0;
   argument(next++, b.hessian);
   argument(next++, b.gradient, &s.sizes.nodes, &s.sizes.variables);
@@ -57,7 +58,6 @@ inline ffi::ErrorOr<Shaped> shaped(ffi::RemainingArgs args, ffi::RemainingRets r
   argument(next++, b.link_weight);
   argument(next++, b.row_matrix);
   argument(next++, b.row_offset, nullptr, &s.sizes.rows);
-  argument(next++, b.cost_scale);
   argument(next++, b.tolerance);
   const bool has_near = integer("has_near") != 0;
   s.sizes.groups = static_cast<int>(args.size() - next - (s.sizes.has_norm ? 3 : 0) - (has_near ? 3 : 0)) /
@@ -96,6 +96,9 @@ inline ffi::ErrorOr<Shaped> shaped(ffi::RemainingArgs args, ffi::RemainingRets r
     result(out++, real, *to);
   result(out++, std::integral_constant<ffi::DataType, ffi::S64>(), b.iterations);
   for (auto* to : {&b.stalled, &b.broken}) result(out++, std::integral_constant<ffi::DataType, ffi::PRED>(), *to);
+  for (Output* to : {&b.scales_of_columns, &b.scales_of_links, &b.scales_of_rows}) result(out++, real, *to);
+  for (int c = 0; c < s.sizes.groups; ++c) result(out++, real, b.scales_of_cones[c]);
+  result(out++, real, b.scale_of_cost);
   if (error.failure()) return ffi::Unexpected(error);
   return s;
 }

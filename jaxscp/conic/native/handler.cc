@@ -39,17 +39,19 @@ struct Worker {
   std::vector<Pack> memory;
   Arena arena;
   Program program;
+  Scales scales;
   InteriorPoint solver;
   Experience experience;
 
   Worker(const Sizes& sizes, const Settings& settings)
       : sizes(sizes), settings(settings), memory(room(sizes, settings)), arena(memory.data()),
-        program(Layout(sizes), arena), solver(program, settings, arena) {}
+        program(Layout(sizes), arena), scales(program, arena), solver(program, scales, settings, arena) {}
 
   static long long room(const Sizes& sizes, const Settings& settings) {
     Arena counting;
     Program program(Layout(sizes), counting);
-    InteriorPoint solver(program, settings, counting);
+    Scales scales(program, counting);
+    InteriorPoint solver(program, scales, settings, counting);
     return counting.used();
   }
 
@@ -77,7 +79,7 @@ void solve_together(ffi::ThreadPool& pool, const Batch& batch, Worker& worker) {
   Team team(help ? threads : 1, packs);
   const auto begin = Clock::now();
   with_helpers(pool, help ? threads - 1 : 0,
-               [&] { seated(team, 0, [&] { solve_lane(batch, 0, worker.program, worker.solver); }); },
+               [&] { seated(team, 0, [&] { solve_lane(batch, 0, worker.program, worker.scales, worker.solver); }); },
                [&] { seated(team, -1, [&] { worker.solver.work(); }); });
   const double seconds = std::chrono::duration<double>(Clock::now() - begin).count();
   worker.experience.add(help, seconds / (1 + worker.solver.iterations));
@@ -93,7 +95,7 @@ ffi::Error solve(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::RemainingRe
     spread(pool, batch.lanes, [&](int64_t lane) {
       Worker& worker = Worker::of_thread(found->sizes, batch.settings);
       Team alone(1, worker.program.packs);
-      seated(alone, 0, [&] { solve_lane(batch, lane, worker.program, worker.solver); });
+      seated(alone, 0, [&] { solve_lane(batch, lane, worker.program, worker.scales, worker.solver); });
     });
   }
   return ffi::Error::Success();

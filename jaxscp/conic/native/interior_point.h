@@ -2,12 +2,13 @@
 #pragma once
 
 #include "newton_system.h"
+#include "scales.h"
 
 namespace jaxscp {
 
 struct Settings {
   double proof_tolerance, loose_tolerance, regularisation, refine_below;
-  int max_iterations, refinements;
+  int max_iterations, refinements, equilibration;
   bool operator==(const Settings&) const = default;
 };
 
@@ -33,20 +34,24 @@ struct Residuals : Measures {
 
 class InteriorPoint {
  public:
-  InteriorPoint(const Program& program, const Settings& settings, Arena& arena)
-      : program_(program), settings_(settings), iterate_(program, arena), direction_(program, arena),
+  InteriorPoint(const Program& program, const Scales& scales, const Settings& settings, Arena& arena)
+      : program_(program), scales_(scales), settings_(settings), iterate_(program, arena), direction_(program, arena),
         scaling_(program, arena), ry_(arena.take(iterate_.y.size)), rx_(arena.take(iterate_.x.size)),
         system_(program, arena), constant_x_(arena.take(rx_.size)), constant_y_(arena.take(ry_.size)),
         residuals_(program, arena), against_(arena.take(rx_.size)) {}
 
-  void run(const Given& given, double cost_scale, double tolerance) {
+  // The equilibrated program.
+  void run(const Given& given, double tolerance) {
     double q = most(1.0, program_.largest_of(program_.q, program_.primal));
     double b = most(1.0, program_.largest_of(program_.b, program_.cone));
     share(against_.size, [&](int i) { against_[i] = -program_.q[i]; });
     system_.read();
-    if (given.near_z) program_.read_near(given, iterate_.x, iterate_.y);
+    if (given.near_z) {
+      program_.read_near(given, iterate_.x, iterate_.y);
+      scales_.apply(iterate_.x, iterate_.y);
+    }
     once([&] {
-      cost_scale_ = cost_scale, tolerance_ = tolerance, size_q_ = q, size_b_ = b;
+      tolerance_ = tolerance, size_q_ = q, size_b_ = b;
       iterations = 0, most_ = settings_.max_iterations;
       near_ = given.near_z;
       started_ = stalled = broken = false;
@@ -374,7 +379,7 @@ class InteriorPoint {
     const double primal_cost = (0.5 * quadratic / v.tau + linear) / v.tau;
     const double dual_cost = (-0.5 * quadratic / v.tau - offset) / v.tau;
     // The gap is judged in the user's unit of cost, the residuals in equilibrated units.
-    const double gap = fabs(primal_cost - dual_cost) / most(cost_scale_, least(fabs(primal_cost), fabs(dual_cost)));
+    const double gap = fabs(primal_cost - dual_cost) / most(scales_.cost, least(fabs(primal_cost), fabs(dual_cost)));
     const double primal_error = found.largest(kPrimalLack) / (v.tau * size_b_);
     const double dual_error = found.largest(kDualLack) / (v.tau * size_q_);
     Measures m;
@@ -402,6 +407,7 @@ class InteriorPoint {
   Entries at(Packs v, int p) const { return program_.of_cones(v, p); }
 
   const Program& program_;
+  const Scales& scales_;
   Settings settings_;
   // first what is read most, which is to be near
   Iterate iterate_, direction_;
@@ -414,7 +420,7 @@ class InteriorPoint {
   Packs against_;  // -q
   // as in ``near.py``
   static constexpr double kShareOfLack = 0.2, kLeastMu = 0.02, kMostMu = 3.0;
-  double cost_scale_ = 1.0, tolerance_ = 0.0, size_q_ = 1.0, size_b_ = 1.0;
+  double tolerance_ = 0.0, size_q_ = 1.0, size_b_ = 1.0;
   int most_ = 0;  // iterations
   bool near_ = false, started_ = false;  // ``near_``: without the embedding
 };

@@ -1,4 +1,4 @@
-// The equilibrated program in packs (``program.py`` and the head of ``kkt.py`` have the mathematics):
+// The program in packs (``program.py`` and the head of ``kkt.py`` have the mathematics):
 //
 //     min 1/2 x'Px + q'x,   A x + s = b,   s in K,      x = (z, xi, zeta)
 //
@@ -106,6 +106,15 @@ class Matrix {
   void each(int pack, Act act) const {
     Entries a = at(pack);
     in_team(entries, [&](int e) { act(first(near_.of_row[e]), second(near_.of_row[e]), a[e]); });
+  }
+
+  // Every entry is multiplied by row(p, i) and column(p, j).
+  template <typename Row, typename Column>
+  void scale(int packs, Row row, Column column) {
+    share(packs, Parts{entries}, [&](int p, int e) {
+      Pack& v = at(p)[e];
+      v = row(p, first(near_.of_row[e])) * v * column(p, second(near_.of_row[e]));
+    });
   }
 
   // Row i times v.

@@ -1,133 +1,177 @@
-// Ruiz's scales of a program (``conic/equilibrate.py`` has the mathematics), read once a round and never written.
+// Ruiz's scales of a program, which is then in their units (``conic/equilibrate.py`` has the mathematics).
 #pragma once
 
-#include <algorithm>
-#include <bit>
-#include <cmath>
-#include <cstdint>
-#include <vector>
+#include "program.h"
 
 namespace jaxscp {
 
-struct ConeMatrix {
-  int count, dimension;  // of a node
-  const double* matrix;
-};
-
-// Arrays as XLA passes them, row after row.
-struct ProgramArrays {
-  int nodes, variables, link_rows, rows;
-  const double *hessian, *gradient, *before, *after, *soft, *row_matrix;
-  const double* norm_weight;  // null where there is none
-  std::vector<ConeMatrix> cones;
-};
-
-struct ScaleArrays {
-  double *columns, *links, *rows;
-  std::vector<double*> cones;
-  double* cost;
-};
-
-class Ruiz {
+class Scales {
  public:
-  Ruiz(const ProgramArrays& program, const ScaleArrays& scales)
-      : p_(program), s_(scales), columns_(p_.nodes * p_.variables), links_((p_.nodes + 1) * p_.link_rows),
-        rows_(p_.nodes * p_.rows) {
-    for (const ConeMatrix& cone : p_.cones) cones_.emplace_back(p_.nodes * cone.count);
-  }
+  Packs columns, links, rows, user;  // ``user``: of the rows of the user's cones, alike within a cone
+  double cost = 1.0;
 
-  void run(int rounds) {
-    std::fill_n(s_.columns, columns_.size(), 1.0), std::fill_n(s_.links, links_.size(), 1.0);
-    std::fill_n(s_.rows, rows_.size(), 1.0);
-    for (size_t c = 0; c < cones_.size(); ++c) std::fill_n(s_.cones[c], cones_[c].size(), 1.0);
-    *s_.cost = 1.0;
+  Scales(Program& program, Arena& arena)
+      : columns(arena.take(program.packs * program.n)), links(arena.take(program.packs * program.m)),
+        rows(arena.take(program.packs * program.r)), user(arena.take(program.packs * program.u)), program_(program),
+        columns_(arena.take(columns.size)), links_(arena.take(links.size)), rows_(arena.take(rows.size)),
+        user_(arena.take(user.size)), before_(arena.take(links.size)) {}
+
+  // Finds them for a program that was read, and takes it to their units.
+  JAXSCP_CALLED void apply(int rounds) {
+    for (Packs v : {columns, links, rows, user}) share(v.size, [&](int i) { v[i] = all(1.0); });
+    once([&] { cost = 1.0; });
     for (int round = 0; round < rounds; ++round) {
       measure();
       refine();
     }
+    scale_matrices();
+    scale_vectors();
+  }
+
+  // Takes a point to them, and multipliers but for the heads of cones of norms.
+  JAXSCP_CALLED void apply(Packs x, Packs y) const {
+    const Program& g = program_;
+    share(g.packs, Parts{g.n + g.r + g.u + g.m}, [&](int p, int k) {
+      Entries point = g.of_primal(x, p), v = g.of_cones(y, p);
+      if (k < g.n) {
+        point[k] = point[k] / columns.of(p, g.n)[k];
+      } else if (const int i = k - g.n; i < g.r + g.u) {
+        v[i] = cost * v[i] / of_row(p, i);
+      } else {
+        const int l = i - g.r - g.u;
+        const Pack by = cost / links.of(p, g.m)[l];
+        v[g.zero + l] = by * v[g.zero + l], v[g.virtual_ + 1 + l] = by * v[g.virtual_ + 1 + l];
+      }
+    });
   }
 
  private:
-  // Numbers that are not negative have the order of their bits: as integers a compiler finds the largest of many at
-  // once, which it may not of numbers, any of which might be NaN.
-  using Ordered = int64_t;
-
   static constexpr double kLowest = 1e-4, kHighest = 1e4, kEmpty = 1e-12;
 
+  // Of half-spaces, and then of rows of the user's cones.
+  Pack of_row(int p, int i) const {
+    return i < program_.r ? rows.of(p, program_.r)[i] : user.of(p, program_.u)[i - program_.r];
+  }
+
   // Largest entries of the scaled program, by columns, rows and cones.
-  void measure() {
-    std::fill(columns_.begin(), columns_.end(), 0.0), std::fill(links_.begin(), links_.end(), 0.0);
-    const int n = p_.variables, m = p_.link_rows;
-    for (int k = 0; k < p_.nodes; ++k) {
-      for (int i = 0; i < n; ++i) look(p_.hessian + (k * n + i) * n, k, *s_.cost * s_.columns[k * n + i]);
-      for (int i = 0; i < m; ++i) {
-        const int here = k * m + i, next = here + m;
-        links_[here] = std::max(links_[here], look(p_.after + here * n, k, s_.links[here]));
-        links_[next] = std::max(links_[next], look(p_.before + next * n, k, s_.links[next]));
+  JAXSCP_CALLED void measure() {
+    const Program& g = program_;
+    share(g.packs, Parts{g.m}, [&](int p, int i) { before_.of(p, g.m)[i] = largest(g.before, p, i); });
+    share(g.packs, Parts{g.n + g.m + g.r + g.user_cones}, [&](int p, int k) {
+      if (k < g.n) {
+        columns_.of(p, g.n)[k] = columns.of(p, g.n)[k] * largest_of_column(p, k);
+      } else if (const int i = k - g.n; i < g.m) {
+        Pack from_before = one_before(p > 0 ? before_.of(p - 1, g.m)[i] : all(0.0), before_.of(p, g.m)[i]);
+        links_.of(p, g.m)[i] = links.of(p, g.m)[i] * larger(largest(g.after, p, i), from_before);
+      } else if (const int row = i - g.m; row < g.r) {
+        rows_.of(p, g.r)[row] = rows.of(p, g.r)[row] * largest(g.rows, p, row);
+      } else {
+        const Cone cone = g.cone_at(row - g.r);
+        const int first = cone.offset - g.r;
+        Pack found = all(0.0);
+        for (int j = first; j < first + cone.dimension; ++j) found = larger(largest(g.user, p, j), found);
+        for (int j = first; j < first + cone.dimension; ++j) user_.of(p, g.u)[j] = user.of(p, g.u)[j] * found;
       }
-      for (int i = k * p_.rows; i < (k + 1) * p_.rows; ++i) rows_[i] = look(p_.row_matrix + i * n, k, s_.rows[i]);
-      for (size_t c = 0; c < cones_.size(); ++c)
-        for (int i = k * p_.cones[c].count; i < (k + 1) * p_.cones[c].count; ++i)
-          cones_[c][i] = look_at_cone(p_.cones[c], i, k, s_.cones[c][i]);
-    }
+    });
   }
 
-  double look_at_cone(const ConeMatrix& cone, int which, int node, double scale) {
-    const double* row = cone.matrix + which * cone.dimension * p_.variables;
-    double largest = 0.0;
-    for (int i = 0; i < cone.dimension; ++i, row += p_.variables) largest = std::max(largest, look(row, node, scale));
-    return largest;
+  // Of a row, but for its own scale.
+  Pack largest(const Matrix& matrix, int p, int i) const {
+    Entries a = matrix.at(p), c = columns.of(p, program_.n);
+    Pack found = all(0.0);
+    matrix.each_of_row(i, [&](int e, int j) { found = larger(magnitude(a[e]) * c[j], found); });
+    return found;
+  }
+  Pack largest_of_column(int p, int j) const {
+    const Program& g = program_;
+    Entries c = columns.of(p, g.n), link = links.of(p, g.m), next = links.of(p + 1, g.m);
+    const bool last = p + 1 == g.packs;
+    Pack found = all(0.0);
+    auto see = [&](const Matrix& matrix, auto scale) {
+      Entries a = matrix.at(p);
+      matrix.each_of_column(j, [&](int e, int i) { found = larger(magnitude(a[e]) * scale(i), found); });
+    };
+    see(g.hessian, [&](int i) { return cost * c[i]; });
+    see(g.after, [&](int i) { return link[i]; });
+    see(g.before, [&](int i) { return one_after(link[i], last ? all(0.0) : next[i]); });
+    see(g.rows, [&](int i) { return of_row(p, i); });
+    see(g.user, [&](int i) { return of_row(p, g.r + i); });
+    return found;
   }
 
-  // The largest entry of a row, with its scale and those of the node's columns, whose own it may exceed.
-  double look(const double* row, int node, double scale) {
-    const int n = p_.variables;
-    const double* __restrict column = s_.columns + node * n;
-    double* __restrict largest = columns_.data() + node * n;
-    Ordered found = 0;
-    for (int j = 0; j < n; ++j) {
-      const auto v = std::bit_cast<Ordered>(scale * std::fabs(row[j]) * column[j]);
-      found = std::max(found, v);
-      largest[j] = std::bit_cast<double>(std::max(v, std::bit_cast<Ordered>(largest[j])));
-    }
-    return std::bit_cast<double>(found);
-  }
-
-  void refine() {
-    share_soft_rows();
-    double largest = 0.0;
-    for (size_t i = 0; i < columns_.size(); ++i) {
-      const double by = shrink(columns_[i]);
-      largest = std::max(largest, std::fabs(*s_.cost * s_.columns[i] * by * p_.gradient[i]));
-      times(s_.columns[i], by);
-    }
-    for (int k = 0; p_.norm_weight && k < p_.nodes; ++k) largest = std::max(largest, *s_.cost * p_.norm_weight[k]);
-    for (size_t i = 0; i < links_.size(); ++i) times(s_.links[i], shrink(links_[i]));
-    for (size_t i = 0; i < rows_.size(); ++i) times(s_.rows[i], shrink(rows_[i]));
-    for (size_t c = 0; c < cones_.size(); ++c)
-      for (size_t i = 0; i < cones_[c].size(); ++i) times(s_.cones[c][i], shrink(cones_[c][i]));
+  JAXSCP_CALLED void refine() {
+    const Program& g = program_;
+    using Largest = Totals<0, 1>;
+    const double price = fold(g.packs, Parts{g.n + 1}, Largest::none(), [&](int p, int j, Largest& found) {
+      Pack v = cost * magnitude(g.of_primal(g.q, p)[j < g.n ? j : g.xi]);
+      if (j < g.n) v = v * columns.of(p, g.n)[j] * shrunk(columns_.of(p, g.n)[j]);
+      found.see(0, g.of_nodes(p, v));
+    }).largest(0);
+    auto change = [&](Packs scales, Packs sizes) {
+      share(scales.size, [&](int i) { scales[i] = clipped(scales[i] * shrunk(sizes[i])); });
+    };
+    change(columns, columns_), change(rows, rows_), change(user, user_);
+    share(g.packs, Parts{g.m}, [&](int p, int i) {
+      Entries scale = links.of(p, g.m);
+      const Pack size = where(g.soft.of(p, g.m)[i] > 0.0, largest_of_soft(links_, p), links_.of(p, g.m)[i]);
+      scale[i] = clipped(scale[i] * shrunk(size));
+    });
     // A cost without linear terms gives no hint: to take it for a tiny one would blow up the prices of the links.
-    *s_.cost /= largest > 0.0 ? std::clamp(largest, kLowest, kHighest) : 1.0;
+    once([&] { cost /= price > 0.0 ? price < kLowest ? kLowest : price > kHighest ? kHighest : price : 1.0; });
   }
 
-  // The soft rows of a link have one scale, by the largest of them.
-  void share_soft_rows() {
-    const int m = p_.link_rows;
-    for (int l = 0; l <= p_.nodes; ++l) {
-      double largest = 0.0;
-      for (int i = l * m; i < (l + 1) * m; ++i) largest = std::max(largest, p_.soft[i] * links_[i]);
-      for (int i = l * m; i < (l + 1) * m; ++i)
-        if (p_.soft[i] > 0.0) links_[i] = largest;
-    }
+  // Of a link's rows with virtual control, which have one scale.
+  Pack largest_of_soft(Packs v, int p) const {
+    Entries soft = program_.soft.of(p, program_.m), of = v.of(p, program_.m);
+    Pack found = all(0.0);
+    for (int i = 0; i < program_.m; ++i) found = larger(soft[i] * of[i], found);
+    return found;
   }
 
-  static double shrink(double size) { return size > kEmpty ? 1.0 / std::sqrt(size) : 1.0; }
-  static void times(double& scale, double by) { scale = std::clamp(scale * by, kLowest, kHighest); }
+  JAXSCP_CALLED void scale_matrices() {
+    Program& g = program_;
+    auto column = [&](int p, int j) { return columns.of(p, g.n)[j]; };
+    auto link = [&](int p, int i) { return links.of(p, g.m)[i]; };
+    auto next = [&](int p, int i) { return one_after(link(p, i), p + 1 == g.packs ? all(0.0) : link(p + 1, i)); };
+    g.hessian.scale(g.packs, [&](int p, int i) { return cost * column(p, i); }, column);
+    g.after.scale(g.packs, link, column);
+    g.before.scale(g.packs, next, column);
+    g.rows.scale(g.packs, [&](int p, int i) { return of_row(p, i); }, column);
+    g.user.scale(g.packs, [&](int p, int i) { return of_row(p, g.r + i); }, column);
+  }
 
-  const ProgramArrays& p_;
-  const ScaleArrays& s_;
-  std::vector<double> columns_, links_, rows_;  // the largest entries
-  std::vector<std::vector<double>> cones_;
+  JAXSCP_CALLED void scale_vectors() {
+    const Program& g = program_;
+    share(g.packs, Parts{g.primal.size}, [&](int p, int j) {
+      Pack by = all(cost);
+      if (j < g.n) {
+        const Pack column = columns.of(p, g.n)[j];
+        by = cost * column;
+        if (g.has_norm) g.scale.of(p, g.n)[j] = column * g.scale.of(p, g.n)[j];  // and the centre the inverse
+      } else if (j == g.zeta) {
+        const Pack shared = largest_of_soft(links, p);
+        by = cost / where(shared > 0.0, shared, all(1.0));
+      }
+      g.of_primal(g.q, p)[j] = by * g.of_primal(g.q, p)[j];
+    });
+    share(g.packs, Parts{g.r + g.u + g.m}, [&](int p, int i) {
+      Entries b = g.of_cones(g.b, p);
+      if (i < g.r + g.u) {
+        b[i] = of_row(p, i) * b[i];
+      } else {
+        const int l = i - g.r - g.u;
+        const Pack by = links.of(p, g.m)[l];
+        b[g.zero + l] = by * b[g.zero + l], b[g.virtual_ + 1 + l] = by * b[g.virtual_ + 1 + l];
+      }
+    });
+  }
+
+  static Pack shrunk(Pack size) { return where(size > kEmpty, 1.0 / root(larger(size, all(kEmpty))), all(1.0)); }
+  static Pack clipped(Pack scale) { return smaller(larger(scale, all(kLowest)), all(kHighest)); }
+
+  Program& program_;
+  Packs columns_, links_, rows_, user_;  // the largest entries
+  Packs before_;                         // of links, what the node before has
 };
 
 }  // namespace jaxscp
