@@ -31,13 +31,14 @@ struct Batch {
   Output scales_of_columns, scales_of_links, scales_of_rows, scales_of_cones[kMaxGroups], scale_of_cost;
 };
 
-inline Given given(const Batch& v, int groups, long long lane) {
+inline Given given(const Batch& v, const ProgramLayout& layout, long long lane) {
   Given g{v.hessian.of(lane),    v.gradient.of(lane),   v.before.of(lane),      v.after.of(lane),
           v.link_offset.of(lane), v.soft.of(lane),       v.link_weight.of(lane), v.row_matrix.of(lane),
           v.row_offset.of(lane), {},                    v.norm_weight.of(lane), v.norm_scale.of(lane),
           v.norm_centre.of(lane), v.near_z.of(lane),     v.near_links.of(lane),  v.near_rows.of(lane)};
-  for (int c = 0; c < groups; ++c)
-    g.cones[c] = {v.cone_matrix[c].of(lane), v.cone_offset[c].of(lane), v.near_cones[c].of(lane)};
+  for (int c = 0; c < layout.sizes.groups; ++c)
+    g.cones[c] = {v.cone_matrix[c].of(lane), v.cone_offset[c].of(lane), v.near_cones[c].of(lane),
+                  layout.sizes.cones[c].count * layout.sizes.cones[c].dimension};
   return g;
 }
 
@@ -78,7 +79,7 @@ inline void put_scales(const Program& p, const Scales& from, const Batch& batch,
 }
 
 inline void solve_lane(const Batch& batch, long long lane, Program& program, Scales& scales, InteriorPoint& solver) {
-  once([&] { program.given = given(batch, program.sizes.groups, lane); });
+  once([&] { program.given = given(batch, program, lane); });
   const Given& from = program.given;
   program.read(from);
   scales.apply(batch.settings.equilibration);

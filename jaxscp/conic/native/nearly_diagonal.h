@@ -58,16 +58,21 @@ class NearlyDiagonal {
         const Pack eta = scaling.eta_of(p, g.trust_cone);
         by = 1.0 / (eta * eta), tail = soc::hold(w + (g.trust + 1), n), scale = soc::hold(g.scale.of(p, n), n);
       }
-      const Entries of_cost = g.hessian.at(p), of_rows = g.rows.at(p);
       soc::each_entry(a, [&](int k, int j) {
-        Pack q = regularisation;
-        g.hessian.each_of_row(j, [&](int e, int i) { q += i == j ? of_cost[e] : 0.0; });
-        g.rows.each_of_column(j, [&](int e, int i) { q += of_rows[e] * of_rows[e] / (w[i] * w[i]); });
-        const Pack whole = q + by * scale[k] * scale[k];
+        if (number(k)) return all(1.0);
+        const Pack q = of_cost(scaling, regularisation, p, j, j), whole = q + by * scale[k] * scale[k];
         kept[k] = q / whole;
         return whole;
       });
-      add_tied(scaling, regularisation, p, of_tied);
+      // of the lower triangle of Q among the tied variables a lane has an entry
+      const int lane = lane_of_cone(), row = lane < 1 ? 0 : lane < 3 ? 1 : 2, column = lane - row * (row + 1) / 2;
+      const bool has_entry = row < many_ && column <= row;
+      const Pack mine = has_entry ? of_cost(scaling, regularisation, p, variable_[row], variable_[column]) : 0.0;
+#pragma unroll
+      for (int i = 0; i < kTied; ++i)
+#pragma unroll
+        for (int j = 0; j < kTied; ++j)
+          of_tied[i][j] = __shfl_sync(kEvery, mine, lane_of_warp() - lane + (j <= i ? i * (i + 1) / 2 + j : 0));
       // M' = L^-1 of those that are tied
       Pack s[kTied], t[kTied], v[kTied], solved[kTied], m[kTied][kTied], whole[kTied][kTied], lacks = 0.0;
 #pragma unroll
@@ -201,52 +206,30 @@ class NearlyDiagonal {
     return __shfl_sync(kEvery, found, lane_of_warp() - lane_of_cone() + j % kLanesOfCone);
   }
 
-  // The lower triangle of Q among the tied variables.
-  void add_tied(const Scaling& scaling, double regularisation, int p, Pack (&q)[kTied][kTied]) const {
+  // The entry of Q for two variables.
+  JAXSCP_CALLED Pack of_cost(const Scaling& scaling, double regularisation, int p, int one, int other) const {
     const Program& g = program_;
-    const Entries w = g.of_cones(scaling.w, p);
-    const Entries of_cost = g.hessian.at(p), of_rows = g.rows.at(p), of_user = g.user.at(p);
-#pragma unroll
-    for (int i = 0; i < kTied; ++i)
-#pragma unroll
-      for (int j = 0; j < kTied; ++j) q[i][j] = i == j ? regularisation : 0.0;
-#pragma unroll
-    for (int i = 0; i < kTied; ++i) {
-      if (i >= many_) break;
-      auto add = [&](int variable, Pack v) {
-#pragma unroll
-        for (int j = 0; j <= i; ++j) q[i][j] += tied()[variable] == j + 1 ? v : 0.0;
-      };
-      g.hessian.each_of_row(variable_[i], [&](int e, int other) { add(other, of_cost[e]); });
-      g.rows.each_of_column(variable_[i], [&](int e, int row) {
-        const Pack weight = of_rows[e] / (w[row] * w[row]);
-        g.rows.each_of_row(row, [&](int f, int other) { add(other, weight * of_rows[f]); });
-      });
-    }
+    const Entries w = g.of_cones(scaling.w, p), of_rows = g.rows.at(p), of_user = g.user.at(p);
+    const int place = g.hessian.number(one, other);
+    Pack total = (one == other ? regularisation : 0.0) + (place >= 0 ? g.hessian.at(p)[place] : 0.0);
+    g.rows.each_of_column(one, [&](int e, int row) {
+      const int f = one == other ? e : g.rows.number(row, other);
+      if (f >= 0) total += of_rows[e] * of_rows[f] / (w[row] * w[row]);
+    });
     for (int c = 0; c < g.user_cones; ++c) {
       const auto [offset, d, _] = g.cone_at(c);
       const Pack eta = scaling.eta_of(p, c), by = 1.0 / (eta * eta);
-      Pack along[kTied] = {};
+      Pack along = 0.0, along_other = 0.0, product = 0.0;
+#pragma unroll 1
       for (int r = 0; r < d; ++r) {
-        Pack row[kTied] = {};
-        g.user.each_of_row(offset - g.r + r, [&](int e, int variable) {
-#pragma unroll
-          for (int i = 0; i < kTied; ++i)
-            if (tied()[variable] == i + 1) row[i] = of_user[e];
-        });
-        const Pack here = w[offset + r], sign = r == 0 ? 1.0 : -1.0;
-#pragma unroll
-        for (int i = 0; i < kTied; ++i) {
-          along[i] += sign * here * row[i];
-#pragma unroll
-          for (int j = 0; j <= i; ++j) q[i][j] -= sign * by * row[i] * row[j];
-        }
+        const int e = g.user.number(offset - g.r + r, one), f = g.user.number(offset - g.r + r, other);
+        const Pack mine = e < 0 ? 0.0 : of_user[e], theirs = f < 0 ? 0.0 : of_user[f];
+        const Pack here = r == 0 ? w[offset] : -w[offset + r];
+        along += here * mine, along_other += here * theirs, product += r == 0 ? -mine * theirs : mine * theirs;
       }
-#pragma unroll
-      for (int i = 0; i < kTied; ++i)
-#pragma unroll
-        for (int j = 0; j <= i; ++j) q[i][j] += 2.0 * by * along[i] * along[j];
+      total += by * (product + 2.0 * along * along_other);
     }
+    return total;
   }
 
   // L^-1, a = L L' being given by its lower triangle.

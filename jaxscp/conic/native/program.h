@@ -15,6 +15,7 @@ struct Given {
   const double *hessian, *gradient, *before, *after, *link_offset, *soft, *link_weight, *row_matrix, *row_offset;
   struct ConeGroup {
     const double *matrix, *offset, *near;
+    int rows;  // at a node
   } cones[kMaxGroups];
   const double *norm_weight, *norm_scale, *norm_centre;
   const double *near_z, *near_links, *near_rows;  // where the solution is thought to be, if anywhere
@@ -37,6 +38,21 @@ JAXSCP_CALLED inline void scatter(Packs from, int offset, int stride, int count,
   });
 }
 
+// Where a matrix is read from: in one array, or in those of groups of cones.
+struct From {
+  const double* array;
+  const Given::ConeGroup* cones;
+  int rows, columns;
+
+  // Entry (i, j) at node k.
+  double operator()(int k, int i, int j) const {
+    const Given::ConeGroup* group = cones;
+    if (!group) return array[(static_cast<long long>(k) * rows + i) * columns + j];
+    for (; i >= group->rows; ++group) i -= group->rows;
+    return group->matrix[(static_cast<long long>(k) * group->rows + i) * columns + j];
+  }
+};
+
 // A matrix at every node, without the entries that are zero at all of them.
 class Matrix {
  public:
@@ -45,9 +61,7 @@ class Matrix {
                                            arena.take_integers(columns + 1), arena.take_integers(rows * columns)},
         near_(far_), place_(arena.take_integers(rows * columns)), value_(arena.take(packs * rows * columns)) {}
 
-  // ``from(k, i, j)``: entry (i, j) at node k.
-  template <typename From>
-  void read(int nodes, int packs, Near& near, From from) {
+  JAXSCP_CALLED void read(int nodes, int packs, Near& near, From from) {
     share(rows * columns, [&](int at) {
       const int i = at / columns, j = at % columns;
       bool filled = false;
@@ -185,20 +199,11 @@ class Program : public ProgramLayout {
 
   JAXSCP_CALLED void read(const Given& g) {
     Near near;
-    auto matrix = [](const double* from, int rows, int columns) {
-      return [=](int k, int i, int j) { return from[(static_cast<long long>(k) * rows + i) * columns + j]; };
-    };
-    hessian.read(nodes, packs, near, matrix(g.hessian, n, n));
-    after.read(nodes, packs, near, matrix(g.after, m, n));
-    before.read(nodes, packs, near, matrix(g.before + m * n, m, n));
-    rows.read(nodes, packs, near, matrix(g.row_matrix, r, n));
-    user.read(nodes, packs, near, [&](int k, int i, int j) {
-      for (int c = 0;; ++c) {
-        int size = sizes.cones[c].count * sizes.cones[c].dimension;
-        if (i < size) return g.cones[c].matrix[(static_cast<long long>(k) * size + i) * n + j];
-        i -= size;
-      }
-    });
+    hessian.read(nodes, packs, near, {g.hessian, nullptr, n, n});
+    after.read(nodes, packs, near, {g.after, nullptr, m, n});
+    before.read(nodes, packs, near, {g.before + m * n, nullptr, m, n});
+    rows.read(nodes, packs, near, {g.row_matrix, nullptr, r, n});
+    user.read(nodes, packs, near, {nullptr, g.cones, u, n});
     gather(g.soft, nodes + 1, m, soft, 0, m);
 
     share(q.size, [&](int i) { q[i] = all(0.0); });
@@ -315,7 +320,7 @@ class Program : public ProgramLayout {
     gather(of_rows, nodes, r, to, 0, cone.size, beyond);
     int at = r;
     for (int c = 0; c < sizes.groups; ++c) {
-      int size = sizes.cones[c].count * sizes.cones[c].dimension;
+      const int size = g.cones[c].rows;
       gather(g.cones[c].*of_cone, nodes, size, to, at, cone.size);
       at += size;
     }
