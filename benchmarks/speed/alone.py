@@ -44,7 +44,11 @@ def recorded(method: SCP, nodes: int, flights: int) -> list[Any]:
 
     def given(problem, state):
         program, _ = convexify(problem, state.z, state.flow, method.trust_region, method.virtual_weight)
-        return program, jnp.maximum(method.conic.tolerance, method.accuracy(state)), Near(state.z, state.prices)
+        return (
+            program,
+            jnp.maximum(method.conic.tolerance, method.accuracy(state)),
+            Near(state.z, state.prices),
+        )
 
     with jax.default_device(jax.devices("cpu")[0]):
         problem, z, _ = jax.jit(jax.vmap(planner.setup))(instances(jax.random.key(7), flights))

@@ -181,9 +181,7 @@ class InteriorPoint(eqx.Module):
             progress.iterate, *measures, progress.iterations, progress.stalled, progress.broken, scales
         )
 
-    def _iterate_compiled(
-        self, call, program: StagedProgram, tolerance: Scalar, near: Near | None
-    ) -> Ended:
+    def _iterate_compiled(self, call, program: StagedProgram, tolerance: Scalar, near: Near | None) -> Ended:
         names = (
             "proof_tolerance",
             "loose_tolerance",

@@ -44,12 +44,17 @@ struct From {
   const Given::ConeGroup* cones;
   int rows, columns;
 
-  // Entry (i, j) at node k.
-  double operator()(int k, int i, int j) const {
+  // Of an entry the number at each node.
+  struct Entry {
+    const double* first;
+    long long stride;
+    double operator()(int k) const { return first[k * stride]; }
+  };
+  Entry entry(int i, int j) const {
+    if (!cones) return {array + i * columns + j, static_cast<long long>(rows) * columns};
     const Given::ConeGroup* group = cones;
-    if (!group) return array[(static_cast<long long>(k) * rows + i) * columns + j];
     for (; i >= group->rows; ++group) i -= group->rows;
-    return group->matrix[(static_cast<long long>(k) * group->rows + i) * columns + j];
+    return {group->matrix + i * columns + j, static_cast<long long>(group->rows) * columns};
   }
 };
 
@@ -63,12 +68,12 @@ class Matrix {
 
   JAXSCP_CALLED void read(int nodes, int packs, Near& near, From from) {
     share(rows * columns, [&](int at) {
-      const int i = at / columns, j = at % columns;
+      const From::Entry entry = from.entry(at / columns, at % columns);
       bool filled = false;
       for (int first = 0; first < nodes && !filled; first += kAtOnce)
 #pragma unroll
         for (int k = first; k < first + kAtOnce; ++k)  // none of which waits for the one before
-          if (k < nodes) filled |= from(k, i, j) != 0.0;
+          if (k < nodes) filled |= entry(k) != 0.0;
       place_[at] = filled ? 0 : kNone;
     });
     list(far_.row_start, rows, columns, [&](int i, int j) { return i * columns + j; },
@@ -86,9 +91,10 @@ class Matrix {
     near.copy(far_.of_column, near_.of_column, entries);
     share(packs, Parts{rows}, [&](int p, int i) {
       each_of_row(i, [&](int e, int j) {
+        const From::Entry entry = from.entry(i, j);
         for (int lane = 0; lane < kWidth; ++lane) {
-          int k = p * kWidth + lane;
-          set(at(p)[e], lane, k < nodes ? from(k, i, j) : 0.0);
+          const int k = p * kWidth + lane;
+          set(at(p)[e], lane, k < nodes ? entry(k) : 0.0);
         }
       });
     });
