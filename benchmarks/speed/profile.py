@@ -145,20 +145,19 @@ def _paper_pieces(pieces: Pieces, method: SCP, problem: Any, z: Any, solution: S
 
 def _conic_pieces(pieces: Pieces, conic: Any, program: Any, count: int, steps: int) -> None:
     """Equilibration and starting point, and Newton steps with what they consist of."""
-    scaled_program, _ = pieces.time(
-        "conic: equilibrate", count, lambda p: equilibrate(p, conic.equilibration), program
-    )
-
     start, whole = Loop(replace(conic, max_iterations=0), program), Loop(conic, program)
     started, taken = start.seconds(program), int(whole.result(program).iterations)
     step = (whole.seconds(program) - started) / taken
-    pieces.add(Piece("conic: start and conclude", count, started - pieces.found[-1].seconds, np.nan))
+    pieces.add(Piece("conic: equilibrate, start, conclude", count, started, np.nan))
     pieces.add(
         Piece("conic: Newton step", steps, step, flops_of_loop(replace(conic, compiled=False), program))
     )
     if conic.compiled and native.serves(program):
         return  # its parts are those of the loop as JAX
 
+    scaled_program, _ = pieces.time(
+        "equilibrate", count, lambda p: equilibrate(p, conic.equilibration), program, inside=True
+    )
     unit = cones.identity(kkt.right_side(scaled_program))
     scaling = cones.scaling(unit, unit)
 

@@ -193,14 +193,16 @@ class InteriorPoint(eqx.Module):
         )
         settings = {name: getattr(self, name) for name in names}
         found = call(program, tolerance, near, **settings)
-        z, xi, zeta, y_zero, y_orthant, y_second, s_orthant, s_second, tau, kappa, *rest = found
+        z, xi, zeta, y_zero, y_orthant, y_second, s_orthant, s_second, tau, kappa, *found = found
+        error, infeasibility, unboundedness, iterations, stalled, broken, *found = found
+        columns, links, rows, *of_cones, scale_of_cost = found
         y, s = (
             ConeVector(y_zero, y_orthant, y_second),
             ConeVector(jnp.zeros_like(y_zero), s_orthant, s_second),
         )
-        columns, links, rows, *of_cones, cost = rest[6:]
-        scales = Scales(columns, links, rows, tuple(of_cones), cost)
-        return Ended(Iterate(Primal(z, xi, zeta), y, s, tau, kappa), *rest[:6], scales)
+        iterate = Iterate(Primal(z, xi, zeta), y, s, tau, kappa)
+        scales = Scales(columns, links, rows, tuple(of_cones), scale_of_cost)
+        return Ended(iterate, error, infeasibility, unboundedness, iterations, stalled, broken, scales)
 
     def status(self, r: Ended, tolerance: Scalar | float | None = None) -> StatusCode:
         """How the loop ended, of which its tolerance decides; the solver's own if no other."""
