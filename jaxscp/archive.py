@@ -21,7 +21,7 @@ from jax.experimental import serialize_executable
 
 from jaxscp import libraries
 
-FORMAT = 8
+FORMAT = 9
 PROGRAMS = ("setup", "solve", "conclude")
 COMPILED = (
     *(library.on_gpu for library in libraries.EVERY if library.on_gpu),
