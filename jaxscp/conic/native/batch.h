@@ -80,10 +80,9 @@ inline void put_scales(const Program& p, const Scales& from, const Batch& batch,
 
 inline void solve_lane(const Batch& batch, long long lane, Program& program, Scales& scales, InteriorPoint& solver) {
   once([&] { program.given = given(batch, program, lane); });
-  const Given& from = program.given;
-  program.read(from);
+  program.read();
   scales.apply(batch.settings.equilibration);
-  solver.run(from, *batch.tolerance.of(lane));
+  solver.run(*batch.tolerance.of(lane));
 
   const Program& p = program;
   const Iterate& v = solver.iterate();

@@ -41,19 +41,19 @@ class InteriorPoint {
         residuals_(program, arena), against_(arena.take(rx_.size)) {}
 
   // The equilibrated program.
-  void run(const Given& given, double tolerance) {
+  void run(double tolerance) {
     double q = most(1.0, program_.largest_of(program_.q, program_.primal));
     double b = most(1.0, program_.largest_of(program_.b, program_.cone));
     share(against_.size, [&](int i) { against_[i] = -program_.q[i]; });
     system_.read();
-    if (given.near_z) {
-      program_.read_near(given, iterate_.x, iterate_.y);
+    if (program_.given.near_z) {
+      program_.read_near(iterate_.x, iterate_.y);
       scales_.apply(iterate_.x, iterate_.y);
     }
     once([&] {
       tolerance_ = tolerance, size_q_ = q, size_b_ = b;
       iterations = 0, most_ = settings_.max_iterations;
-      near_ = given.near_z;
+      near_ = program_.given.near_z;
       started_ = stalled = broken = false;
     });
     work();

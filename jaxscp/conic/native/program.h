@@ -195,7 +195,7 @@ class Program : public ProgramLayout {
   Matrix hessian, after, before, rows, user;  // ``before``: E of the link after the node
   Packs soft, scale;
   Packs q, b;
-  Given given;  // where it was read from
+  Given given;  // where it is to be read from
 
   Program(const Layout& layout, Arena& arena)
       : ProgramLayout(layout), hessian(n, n, packs, arena), after(m, n, packs, arena), before(m, n, packs, arena),
@@ -203,7 +203,8 @@ class Program : public ProgramLayout {
         q(arena.take(packs * primal.size)), b(arena.take(packs * cone.size)), carry_(arena.take(packs * m)),
         multiplier_(arena.take(packs * m)) {}
 
-  JAXSCP_CALLED void read(const Given& g) {
+  JAXSCP_CALLED void read() {
+    const Given& g = given;
     Near near;
     hessian.read(nodes, packs, near, {g.hessian, nullptr, n, n});
     after.read(nodes, packs, near, {g.after, nullptr, m, n});
@@ -215,7 +216,7 @@ class Program : public ProgramLayout {
     share(q.size, [&](int i) { q[i] = all(0.0); });
     gather(g.gradient, nodes, n, q, 0, primal.size);
     gather(g.link_weight, nodes + 1, 1, q, zeta, primal.size);
-    gather_cones(g, g.row_offset, 1.0, &Given::ConeGroup::offset, g.link_offset, b);
+    gather_cones(g.row_offset, 1.0, &Given::ConeGroup::offset, g.link_offset, b);
     if (has_norm) {
       gather(g.norm_weight, nodes, 1, q, xi, primal.size);
       gather(g.norm_scale, nodes, n, scale, 0, n);
@@ -226,10 +227,11 @@ class Program : public ProgramLayout {
 
   // The point that is thought to be near: its variables without bounds of norms, and its multipliers with as much at the
   // heads of cones as the prices of these bounds ask for. The trust region's tail is not known, and taken for zero.
-  JAXSCP_CALLED void read_near(const Given& g, Packs x, Packs y) const {
+  JAXSCP_CALLED void read_near(Packs x, Packs y) const {
+    const Given& g = given;
     share(x.size, [&](int i) { x[i] = all(0.0); });
     gather(g.near_z, nodes, n, x, 0, primal.size);
-    gather_cones(g, g.near_rows, 0.0, &Given::ConeGroup::near, g.near_links, y);
+    gather_cones(g.near_rows, 0.0, &Given::ConeGroup::near, g.near_links, y);
     share(packs, Parts{1}, [&](int p, int) {
       of_cones(y, p)[virtual_] = of_primal(q, p)[zeta];
       if (has_norm) of_cones(y, p)[trust] = of_primal(q, p)[xi];
@@ -320,14 +322,14 @@ class Program : public ProgramLayout {
  private:
   // A ConeVector of numbers of half-spaces, which are ``beyond`` past the chain's end, of the user's cones, and of links:
   // those of hard rows are in the zero cone, of soft ones in the virtual control's. All else is zero.
-  JAXSCP_CALLED void gather_cones(const Given& g, const double* of_rows, double beyond,
-                                  const double* Given::ConeGroup::*of_cone, const double* of_links, Packs to) const {
+  JAXSCP_CALLED void gather_cones(const double* of_rows, double beyond, const double* Given::ConeGroup::*of_cone,
+                                  const double* of_links, Packs to) const {
     share(to.size, [&](int i) { to[i] = all(0.0); });
     gather(of_rows, nodes, r, to, 0, cone.size, beyond);
     int at = r;
     for (int c = 0; c < sizes.groups; ++c) {
-      const int size = g.cones[c].rows;
-      gather(g.cones[c].*of_cone, nodes, size, to, at, cone.size);
+      const int size = given.cones[c].rows;
+      gather(given.cones[c].*of_cone, nodes, size, to, at, cone.size);
       at += size;
     }
     gather(of_links, nodes + 1, m, to, zero, cone.size);

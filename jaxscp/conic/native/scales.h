@@ -31,18 +31,10 @@ class Scales {
   // Takes a point to them, and multipliers but for the heads of cones of norms.
   JAXSCP_CALLED void apply(Packs x, Packs y) const {
     const Program& g = program_;
-    share(g.packs, Parts{g.n + g.r + g.u + g.m}, [&](int p, int k) {
-      Entries point = g.of_primal(x, p), v = g.of_cones(y, p);
-      if (k < g.n) {
-        point[k] = point[k] / columns.of(p, g.n)[k];
-      } else if (const int i = k - g.n; i < g.r + g.u) {
-        v[i] = cost * v[i] / of_row(p, i);
-      } else {
-        const int l = i - g.r - g.u;
-        const Pack by = cost / links.of(p, g.m)[l];
-        v[g.zero + l] = by * v[g.zero + l], v[g.virtual_ + 1 + l] = by * v[g.virtual_ + 1 + l];
-      }
+    share(g.packs, Parts{g.n}, [&](int p, int j) {
+      g.of_primal(x, p)[j] = g.of_primal(x, p)[j] / columns.of(p, g.n)[j];
     });
+    multiply_rows(y, [&](Pack scale) { return cost / scale; });
   }
 
  private:
@@ -154,14 +146,21 @@ class Scales {
       }
       g.of_primal(g.q, p)[j] = by * g.of_primal(g.q, p)[j];
     });
+    multiply_rows(g.b, [](Pack scale) { return scale; });
+  }
+
+  // Multiplies a ConeVector, but for cones of norms and the heads of virtual controls, by what a row's scale says.
+  template <typename Factor>
+  void multiply_rows(Packs of, Factor factor) const {
+    const Program& g = program_;
     share(g.packs, Parts{g.r + g.u + g.m}, [&](int p, int i) {
-      Entries b = g.of_cones(g.b, p);
+      Entries v = g.of_cones(of, p);
       if (i < g.r + g.u) {
-        b[i] = of_row(p, i) * b[i];
+        v[i] = factor(of_row(p, i)) * v[i];
       } else {
         const int l = i - g.r - g.u;
-        const Pack by = links.of(p, g.m)[l];
-        b[g.zero + l] = by * b[g.zero + l], b[g.virtual_ + 1 + l] = by * b[g.virtual_ + 1 + l];
+        const Pack by = factor(links.of(p, g.m)[l]);
+        v[g.zero + l] = by * v[g.zero + l], v[g.virtual_ + 1 + l] = by * v[g.virtual_ + 1 + l];
       }
     });
   }
