@@ -87,9 +87,12 @@ class RigidBody(Dynamics):
 
     def hover_thrust(self) -> Float[Array, "rotors"]:
         """Least-norm rotor thrusts in N that carry the level body's weight without torque."""
-        wrench = jnp.concatenate([self.thrust_map, self.torque_map])
         weight = jnp.concatenate([-self.mass * self.gravity, jnp.zeros_like(self.gravity)])
-        return pseudo_inverse(wrench) @ weight
+        return self.least_thrusts() @ weight
+
+    def least_thrusts(self) -> Float[Array, "rotors 6"]:
+        """Least-norm rotor thrusts of each unit of force in N and of torque in N m, in body axes."""
+        return pseudo_inverse(jnp.concatenate([self.thrust_map, self.torque_map]))
 
 
 def _inverse(matrix: Float[Array, "3 3"]) -> Float[Array, "3 3"]:

@@ -1,7 +1,13 @@
-"""The initial guess (equations 25-26): a double integrator through the corridor, by the same conic step.
+"""The initial guess: a smooth path through the corridor by the same conic step, and the flight along it.
 
-Minimise the sum of |a_k| at a fixed flight time, the corridor held at every node and the landing cone at the
-last ones. The vehicle is taken level, at hover thrust.
+As the paper's (equations 25-26) the path is found at a fixed flight time, the corridor held at every node and the
+landing cone at the last ones. The paper's is a double integrator's, of least sum |a_k|, with all its
+acceleration at a few nodes, and the vehicle is level at hover thrust. Here it has a piecewise linear jerk and least
+
+    sum |a_k|^2 + (SMOOTHING t_f)^2 |j_k|^2,
+
+so that attitudes, body rates and thrusts follow from it (``flatness``). The iterations then begin near a flight, and
+are a fifth fewer.
 """
 
 import equinox as eqx
@@ -9,26 +15,28 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from jaxscp import rotations
+from jaxscp import flatness, rotations
 from jaxscp.allocation import route_positions
 from jaxscp.conic.interior_point import InteriorPoint
-from jaxscp.conic.program import Cones, Links, NormCost, Rows, StagedProgram
+from jaxscp.conic.program import Cones, Links, Rows, StagedProgram
 from jaxscp.landing import in_cone
-from jaxscp.mission import LandingScenario
+from jaxscp.mission import BodyState, LandingScenario
 from jaxscp.status import StatusCode
-from jaxscp.types import Controls, Nodes, Scalar, States, Vector3
+from jaxscp.types import Controls, Nodes, Points, Scalar, States, Vector3
 
 # A guess needs no more: within a percent of the least effort. Its units do what equilibration would.
 GUESS_CONIC = InteriorPoint(tolerance=1e-2, refinements=0, equilibration=0)
 GUESS_VIOLATION = 1e-3  # of the route, that such a guess may leave the corridor or the cone by
-# Of a unit of effort: multipliers then have the size of the slacks, which saves Newton steps.
-GUESS_PRICE = 0.1
+GUESS_PRICE = 0.03  # of a flight from rest to rest on a straight line
+SMOOTHING = 0.025  # of the flight time, in which accelerations change
 
 SHARE_OF_THRUST = (
-    0.4  # of what full thrust leaves after hovering: the guess's acceleration, which sets its flight time
+    0.48  # of what full thrust leaves after hovering: the guess's acceleration, which sets its flight time
 )
 LEAST_ACCELERATION = 0.5  # m/s^2
 LEAST_LENGTH = 0.1  # m, of the unit of length: where start and goal are one
+
+VARIABLES = 12  # of a node: position, velocity, acceleration and jerk
 
 
 class Guess(eqx.Module):
@@ -56,19 +64,32 @@ def initial_guess(scenario: LandingScenario, allocation: Int[Array, "intervals"]
     units = Units.of(scenario, allocation, duration)
     program = guess_program(scenario, allocation, units)
     solution = GUESS_CONIC(program)
-    nodes = program.nodes
+    path = units.of_path(solution.z)
     straight = route_positions(scenario.corridor, scenario.start.position, scenario.goal.position, allocation)
     solved = jnp.all(jnp.isfinite(solution.z)) & (program.violation(solution.z) < GUESS_VIOLATION)
-    position = jnp.where(solved, units.origin + units.length * solution.z[:, :3], straight)
-    velocity = jnp.where(solved, units.speed * solution.z[:, 3:6], 0.0)
-    attitude = _blend_attitudes(scenario.start.attitude, scenario.goal.attitude, nodes)
-    states = jnp.concatenate([position, velocity, attitude, jnp.zeros((nodes, 3), position.dtype)], axis=1)
-    states = states.at[0].set(scenario.start.vector()).at[-1].set(scenario.goal.vector())
-    hover = jnp.clip(
-        scenario.airframe.body.hover_thrust(), scenario.airframe.thrust_min, scenario.airframe.thrust_max
-    )
-    controls = jnp.broadcast_to(hover, (nodes, hover.shape[0]))
-    return Guess(states, controls, jnp.full((nodes,), duration), solution.status)
+    still = jnp.zeros_like(straight)
+    path = jax.tree.map(lambda a, b: jnp.where(solved, a, b), path, (straight, still, still))
+    states, controls = _flight(scenario, path, duration / allocation.shape[0])
+    return Guess(states, controls, jnp.full((program.nodes,), duration), solution.status)
+
+
+def _flight(
+    scenario: LandingScenario, path: tuple[Points, Points, Points], interval: Scalar
+) -> tuple[States, Controls]:
+    """States and controls of the vehicle on a path of positions, velocities and accelerations; both ends as asked."""
+    position, velocity, acceleration = path
+    nodes, airframe = position.shape[0], scenario.airframe
+    start, goal = scenario.start, scenario.goal
+    inner = (jnp.arange(nodes) % (nodes - 1) > 0)[:, None]
+    blended = _blend_attitudes(start.attitude, goal.attitude, nodes)
+    attitude = jnp.where(inner, flatness.attitudes(airframe.body, acceleration, blended), blended)
+    rates = jnp.linspace(start.body_rate, goal.body_rate, nodes)
+    rates = jnp.where(inner, flatness.body_rates(attitude, interval), rates)
+    controls = flatness.thrusts(airframe.body, acceleration, rates, interval)
+    controls = jnp.clip(controls, airframe.thrust_min, airframe.thrust_max)
+    moving = jnp.concatenate([position, velocity], axis=1)
+    moving = moving.at[0].set(start.vector()[:6]).at[-1].set(goal.vector()[:6])
+    return jnp.concatenate([moving, attitude, rates], axis=1), controls
 
 
 class Units(eqx.Module):
@@ -81,10 +102,18 @@ class Units(eqx.Module):
     time: Scalar
     """Two intervals, s."""
 
-    @property
-    def speed(self) -> Scalar:
-        """m/s."""
-        return self.length / self.time
+    def of_path(self, z: Float[Array, "nodes 12"]) -> tuple[Points, Points, Points]:
+        """Positions, velocities and accelerations in the world, of the program's variables."""
+        position, velocity, acceleration, _ = jnp.split(z, 4, axis=1)
+        speed = self.length / self.time
+        return self.origin + self.length * position, speed * velocity, speed / self.time * acceleration
+
+    def end(self, scenario: LandingScenario, state: BodyState) -> Float[Array, "9"]:
+        """Position, velocity and acceleration at an end: what hover thrust makes of the attitude there."""
+        body, speed = scenario.airframe.body, self.length / self.time
+        acceleration = body(state.vector(), body.hover_thrust())[3:6]
+        position = (state.position - self.origin) / self.length
+        return jnp.concatenate([position, state.velocity / speed, acceleration / (speed / self.time)])
 
     @classmethod
     def of(cls, scenario: LandingScenario, allocation: Int[Array, "intervals"], duration: Scalar) -> "Units":
@@ -113,7 +142,7 @@ def _route_length(scenario: LandingScenario, allocation: Int[Array, "intervals"]
 def guess_program(
     scenario: LandingScenario, allocation: Int[Array, "intervals"], units: Units
 ) -> StagedProgram:
-    """Program (26) over node variables (position, velocity, acceleration), in the given units."""
+    """The path's program over node variables (position, velocity, acceleration, jerk), in the given units."""
     nodes = allocation.shape[0] + 1
     dtype = scenario.start.position.dtype
     cell = jnp.concatenate([allocation, allocation[-1:]])
@@ -124,47 +153,59 @@ def guess_program(
     deck = rotations.rotation_matrix(scenario.goal.attitude).T  # rows are the deck's axes
     side = jnp.array([cotangent, 1.0, 1.0], dtype)[:, None] * deck[jnp.array([2, 0, 1])]
     active = in_cone(nodes)[:, None]
-    cone_matrix = jnp.where(active[:, :, None], -_pad_columns(side, 9), 0.0)
+    cone_matrix = jnp.where(active[:, :, None], -_pad_columns(side, VARIABLES), 0.0)
     cone_offset = jnp.where(active, 0.0, jnp.array([1.0, 0.0, 0.0], dtype))  # the apex is the origin
-    acceleration = jnp.zeros(9, dtype).at[6:].set(1.0)
     return StagedProgram(
-        hessian=jnp.zeros((nodes, 9, 9), dtype),
-        gradient=jnp.zeros((nodes, 9), dtype),
-        links=_double_integrator_links(scenario, units, nodes),
-        rows=Rows(jnp.concatenate([faces, jnp.zeros((*faces.shape[:2], 6), dtype)], axis=2), distances),
+        hessian=jnp.broadcast_to(jnp.diag(_prices(nodes, dtype)), (nodes, VARIABLES, VARIABLES)),
+        gradient=jnp.zeros((nodes, VARIABLES), dtype),
+        links=_triple_integrator_links(scenario, units, nodes),
+        rows=Rows(_pad_columns(faces, VARIABLES), distances),
         cones=(Cones(cone_matrix[:, None], cone_offset[:, None]),),
-        norm=NormCost(
-            jnp.full(nodes, GUESS_PRICE, dtype),
-            jnp.broadcast_to(acceleration, (nodes, 9)),
-            jnp.zeros((nodes, 9), dtype),
-        ),
     )
 
 
-def _double_integrator_links(scenario: LandingScenario, units: Units, nodes: int) -> Links:
-    """Exact first-order hold of p'' = a (equation 25), and both ends fixed in position and velocity."""
+def _prices(nodes: int, dtype) -> Float[Array, "12"]:
+    """Of the variables' squares, halved, in units of the route and of two intervals."""
+    duration = 0.5 * (nodes - 1)
+    effort = nodes * (4.0 / duration**2) ** 2  # from rest to rest along one unit of length
+    acceleration = GUESS_PRICE / effort
+    each = jnp.array([0.0, 0.0, acceleration, acceleration * (SMOOTHING * duration) ** 2], dtype)
+    return jnp.repeat(2.0 * each, 3)
+
+
+def _triple_integrator_links(scenario: LandingScenario, units: Units, nodes: int) -> Links:
+    """Exact first-order hold of the jerk, and both ends fixed in position, velocity and acceleration."""
     h = 0.5  # an interval, in units of two
     eye, none = jnp.eye(3), jnp.zeros((3, 3))
-    before = jnp.block([[eye, h * eye, h**2 / 3.0 * eye], [none, eye, h / 2.0 * eye]])
-    after = jnp.block([[-eye, none, h**2 / 6.0 * eye], [none, -eye, h / 2.0 * eye]])
-    fixed = _pad_columns(jnp.eye(6), 9)[None]
-    zero = jnp.zeros_like(fixed)
-    inner = (nodes - 1, 6, 9)
-    first, last = (
-        jnp.concatenate([(end.position - units.origin) / units.length, end.velocity / units.speed])
-        for end in (scenario.start, scenario.goal)
+    before = jnp.block(
+        [
+            [eye, h * eye, h**2 / 2.0 * eye, h**3 / 8.0 * eye],
+            [none, eye, h * eye, h**2 / 3.0 * eye],
+            [none, none, eye, h / 2.0 * eye],
+        ]
     )
+    after = jnp.block(
+        [
+            [-eye, none, none, h**3 / 24.0 * eye],
+            [none, -eye, none, h**2 / 6.0 * eye],
+            [none, none, -eye, h / 2.0 * eye],
+        ]
+    )
+    fixed = _pad_columns(jnp.eye(9), VARIABLES)[None]
+    zero = jnp.zeros_like(fixed)
+    inner = (nodes - 1, 9, VARIABLES)
+    first, last = units.end(scenario, scenario.start), units.end(scenario, scenario.goal)
     return Links(
         before=jnp.concatenate([zero, jnp.broadcast_to(before, inner), fixed]),
         after=jnp.concatenate([fixed, jnp.broadcast_to(after, inner), zero]),
-        offset=jnp.zeros((nodes + 1, 6)).at[0].set(first).at[-1].set(last),
-        soft=jnp.zeros((nodes + 1, 6)),
+        offset=jnp.zeros((nodes + 1, 9)).at[0].set(first).at[-1].set(last),
+        soft=jnp.zeros((nodes + 1, 9)),
         weight=jnp.ones(nodes + 1),
     )
 
 
-def _pad_columns(matrix: Float[Array, "rows columns"], columns: int) -> Float[Array, "rows padded"]:
-    return jnp.pad(matrix, ((0, 0), (0, columns - matrix.shape[1])))
+def _pad_columns(matrix: Float[Array, "*b columns"], columns: int) -> Float[Array, "*b padded"]:
+    return jnp.pad(matrix, [(0, 0)] * (matrix.ndim - 1) + [(0, columns - matrix.shape[-1])])
 
 
 def _blend_attitudes(start, goal, nodes: int) -> Float[Array, "nodes 4"]:
