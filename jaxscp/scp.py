@@ -25,7 +25,7 @@ from jaxscp.types import Count, Flag, Scalar
 
 KEPT = 0.99  # of virtual control, from a subproblem to the next, where it will not vanish
 TIGHTER = 0.5  # times as accurate, from a subproblem to the next: errors that stay as large can keep steps so
-SHARE = 1e-3  # of what is ahead, to which a subproblem is solved
+SHARE = 3e-3  # of what is ahead, to which a subproblem is solved
 ENDING = 5e-5  # accuracy of a subproblem that may be the last: of a coarser one small steps say nothing
 TILE = 4096  # lanes that a GPU steps at once: of fewer, the last of a kernel leave more of it idle
 
@@ -104,8 +104,8 @@ class SCP(eqx.Module):
     tolerance_step: float = 1e-3
     max_iterations: int = eqx.field(default=50, static=True)
     substeps: int = eqx.field(default=10, static=True)
-    coarsest: float = 0.05
-    conic: ConicSolver = InteriorPoint(tolerance=1e-6)
+    coarsest: float = 0.1
+    conic: ConicSolver = InteriorPoint(tolerance=1e-6, equilibration=1)
 
     @property
     def published(self) -> bool:

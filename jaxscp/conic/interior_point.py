@@ -249,16 +249,18 @@ class InteriorPoint(eqx.Module):
         directions = newton(program, old, self.regularisation, refinements)
 
         affine = directions.predictor(r)
-        sigma = (1.0 - _longest_step(old, affine)) ** 3
-        direction = directions.corrector(r, affine, sigma)
-        step = 0.99 * _longest_step(old, direction)
+        direction = directions.corrector(r, affine, directions.centring(r, affine))
+        primal, dual = (directions.part * length for length in directions.longest_steps(direction))
 
-        new = tree_axpy(step, direction, old)
+        new = tree_axpy(primal, direction, old)
+        new = eqx.tree_at(lambda v: v.y, new, tree_axpy(dual, direction.y, old.y))
         new = tree_axpy(1.0 / jnp.maximum(new.tau, new.kappa), new, jax.tree.map(jnp.zeros_like, new))
         residuals = _residuals(program, scales, new)
         broken = ~(jnp.isfinite(residuals.error) & jnp.isfinite(residuals.mu))
         # A step that makes a nearly solved iterate worse has run into rounding: keep the better one.
-        stalled = (step < 1e-6) | ((r.error < self.loose_tolerance) & (residuals.error > 2.0 * r.error))
+        stalled = (jnp.minimum(primal, dual) < 1e-6) | (
+            (r.error < self.loose_tolerance) & (residuals.error > 2.0 * r.error)
+        )
         keep = broken | (stalled & (residuals.error > r.error))
         new, residuals = jax.tree.map(lambda a, b: jnp.where(keep, a, b), (old, r), (new, residuals))
         return Progress(new, residuals, progress.iterations + 1, stalled, broken)
@@ -287,7 +289,9 @@ def restored(
 
 
 class _Newton:
-    """Newton directions of the program at one iterate."""
+    """Newton directions of the program at one iterate, and how far to go along them."""
+
+    part = 0.98  # of the way to the boundary
 
     def __init__(
         self, program: StagedProgram, iterate: Iterate, regularisation: float, refinements: Count | int
@@ -312,6 +316,21 @@ class _Newton:
         solution = self._solve(*self._right_side(r, 1.0 - sigma, lifted))
         return self._direction(r, 1.0 - sigma, target_tau, solution, lifted)
 
+    def longest_steps(self, direction: Iterate) -> tuple[Scalar, Scalar]:
+        """How far it stays in the cones, at most one: with variables and slacks, and with multipliers. Of a linear
+        program the multipliers' residuals do not depend on the variables, and both go as far as they can."""
+        point = self.iterate
+        primal = jnp.minimum(1.0, cones.longest_step(point.s, direction.s))
+        dual = jnp.minimum(1.0, cones.longest_step(point.y, direction.y))
+        both, linear = jnp.minimum(primal, dual), jnp.all(self.program.hessian == 0.0)
+        return jnp.where(linear, primal, both), jnp.where(linear, dual, both)
+
+    def centring(self, r: Residuals, affine: Iterate) -> Scalar:
+        """Mehrotra's share of the complementarity to aim at: the cube of what the affine direction leaves of it."""
+        primal, dual = self.longest_steps(affine)
+        s, y = tree_axpy(primal, affine.s, self.iterate.s), tree_axpy(dual, affine.y, self.iterate.y)
+        return jnp.clip(tree_dot(s, y) / tree_dot(self.iterate.s, self.iterate.y), 0.0, 1.0) ** 3
+
     def _solve_affine(self, right_side: tuple[Primal, ConeVector]) -> tuple[Primal, ConeVector]:
         return self._solve(*right_side)
 
@@ -333,6 +352,17 @@ class _Newton:
 
 class _Embedded(_Newton):
     """Newton directions of the embedding."""
+
+    part = 0.99
+
+    def longest_steps(self, direction: Iterate) -> tuple[Scalar, Scalar]:
+        """One for both: residuals are in proportion to tau."""
+        step = _longest_step(self.iterate, direction)
+        return step, step
+
+    def centring(self, r: Residuals, affine: Iterate) -> Scalar:
+        """That of all residuals, in proportion to tau: the cube of what the affine direction leaves of them."""
+        return (1.0 - _longest_step(self.iterate, affine)) ** 3
 
     def _solve_affine(self, right_side: tuple[Primal, ConeVector]) -> tuple[Primal, ConeVector]:
         """Together with the constant direction, which both steps share."""

@@ -2,21 +2,22 @@
 
 Of the point z and its multipliers y, slacks follow from the program. Pushed inside the cones as they are, s and y would
 be far from centred; the pair with s o y = mu e that keeps their difference s - y is centred, and what it changes is of
-the size of sqrt(mu) at most (``smoothing``). The farther z and y are from optimal, the larger is mu.
+the size of sqrt(mu) at most (``smoothing``). The farther the pair is from complementary, the larger is mu.
 """
 
 import jax
 import jax.numpy as jnp
 
 from jaxscp.conic import kkt
-from jaxscp.conic.cones import ConeVector, tree_axpy
+from jaxscp.conic.cones import ConeVector, degree, tree_axpy
 from jaxscp.conic.kkt import Primal
 from jaxscp.conic.program import Near, StagedProgram
 from jaxscp.conic.smoothing import central_pair
+from jaxscp.types import Scalar
 
-# mu, in equilibrated units, is this share of the largest residual of stationarity, within limits: found by trial on
-# subproblems of both missions in both modes
-SHARE, LEAST, MOST = 0.2, 0.02, 3.0
+# mu, in equilibrated units, is this times the fourth root of the mean product of slacks and multipliers as they are,
+# within limits: found by trial on subproblems of random flights in both modes
+MU, LEAST, MOST = 0.8, 1e-3, 3.0
 
 
 def central_start(program: StagedProgram, near: Near) -> tuple[Primal, ConeVector, ConeVector]:
@@ -31,11 +32,16 @@ def central_start(program: StagedProgram, near: Near) -> tuple[Primal, ConeVecto
     head, tail = (None, None) if norm is None else (norm.weight, jnp.zeros_like(near.z))
     second = kkt.pack(program, near.multipliers.cones, head, tail, program.links.weight, soft * links)
     y = ConeVector((1.0 - soft) * links, near.multipliers.rows, second)
-    stationarity = tree_axpy(1.0, kkt.times_hessian(program, x), kkt.times_constraints_transpose(program, y))
-    lack = jnp.max(jnp.abs(stationarity.z + program.gradient))
-    mu = jnp.clip(SHARE * lack, LEAST, MOST)
-
     s = tree_axpy(-1.0, kkt.times_constraints(program, x), kkt.right_side(program))
     s = ConeVector(jnp.zeros_like(s.zero), s.orthant, s.second)
+    mu = jnp.clip(MU * _apart(s, y) ** 0.25, LEAST, MOST)
     pair = central_pair(jax.tree.map(jnp.subtract, s, y), mu)
     return x, pair.y, pair.s
+
+
+def _apart(s: ConeVector, y: ConeVector) -> Scalar:
+    """Mean product of slack and multiplier, without its sign, of a half-space or cone."""
+    products = jnp.sum(jnp.abs(s.orthant * y.orthant)) + jnp.sum(
+        jnp.abs(jnp.sum(s.second * y.second, axis=1))
+    )
+    return products / degree(s)

@@ -40,8 +40,8 @@ inline void divide(const Held& a, const Held& b, Held& out) {
   set_head(out, first);
 }
 
-// Largest step from a point that stays in the cone.
-inline Pack step_to_boundary(const Held& point, const Held& direction) {
+// Over the largest step from a point that stays in the cone; not positive where every step does.
+inline Pack speed_to_boundary(const Held& point, const Held& direction) {
   Pack over = 1.0 / root(positive(determinant(point)));
   Pack p0 = head(point) * over, d0 = head(direction) * over;
   Pack first = p0 * d0 - tail_dot(point, direction) * over * over;
@@ -50,7 +50,7 @@ inline Pack step_to_boundary(const Held& point, const Held& direction) {
     Pack tail = (direction[i] - share * point[i]) * over;
     return tail * tail;
   });
-  return 1.0 / positive(root(square) - first);
+  return root(square) - first;
 }
 
 // W = eta Wbar; W^2 = eta^2 (2 w w' - J).

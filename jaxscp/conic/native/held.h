@@ -70,6 +70,13 @@ inline Pack total(int, Value value) {
   for (int k = 0; k < Held::kSlots; ++k) part += value(k);
   return of_all_lanes(part);
 }
+// What this lane adds to a'b.
+inline Pack part_of_dot(const Held& a, const Held& b) {
+  Pack part = 0.0;
+#pragma unroll
+  for (int k = 0; k < Held::kSlots; ++k) part += a[k] * b[k];
+  return part;
+}
 template <typename Value>
 inline Pack tail_total(int d, Value value) {
   return total(d, [&](int k) { return k == 0 && lane_of_cone() == 0 ? 0.0 : value(k); });
@@ -114,6 +121,9 @@ inline Pack total(int d, Value value) {
 template <typename Value>
 inline Pack tail_total(int d, Value value) {
   return sum(1, d, value);
+}
+inline Pack part_of_dot(const Held& a, const Held& b) {
+  return total(a.d, [&](int i) { return a[i] * b[i]; });
 }
 
 inline Pack head(const Held& v) { return v[0]; }

@@ -116,29 +116,39 @@ class InteriorPoint {
   // On the central path near the point that was given (``near.py``).
   JAXSCP_CALLED void start_near() {
     const Program& g = program_;
-    Residuals& r = residuals_;
-    g.times(iterate_.x, iterate_.y, r.curved, r.y, r.x);
-    using Largest = Totals<0, 1>;
-    const double lack = fold(g.packs, Parts{g.n}, Largest::none(), [&](int p, int j, Largest& found) {
-      Pack v = g.of_primal(r.curved, p)[j] + g.of_primal(r.x, p)[j] + g.of_primal(g.q, p)[j];
-      found.see(0, g.of_nodes(p, magnitude(v)));
-    }).largest(0);
-    const double mu = most(kLeastMu, least(kMostMu, kShareOfLack * lack));
+    // slacks as the program has them; the bound of a norm is the norm
+    g.times_constraints(iterate_.x, iterate_.s);
+    using Total = Totals<1, 0>;
+    const double apart = fold(g.packs, Parts{g.r, g.cone_count}, Total::none(), [&](int p, int k, Total& found) {
+      Entries s = at(iterate_.s, p), y = at(iterate_.y, p), b = at(g.b, p);
+      if (k < g.r) {
+        s[k] = b[k] - s[k];
+        found.add(0, g.of_nodes(p, magnitude(s[k] * y[k])));
+      } else {
+        const int c = k - g.r;
+        auto [i, d, of_link] = g.cone_at(c);
+        soc::Held slack = soc::hold(s + i, d);
+        const soc::Held right = soc::hold(b + i, d);
+        soc::each(slack, [&](int j) { return right[j] - slack[j]; });
+        if (c >= g.user_cones) {
+          const Pack norm = soc::tail_norm(slack);
+          soc::set_head(slack, norm);
+          g.of_primal(iterate_.x, p)[c == g.virtual_cone ? g.zeta : g.xi] = norm;
+        }
+        soc::keep(slack, s + i);
+        const Pack product = once_of_cone(magnitude(soc::dot(slack, soc::hold(y + i, d))));
+        found.add(0, of_link ? g.of_links(p, product) : g.of_nodes(p, product));
+      }
+    }).sum(0) / (g.degree - 1.0);
+    const double mu = most(kLeastMu, least(kMostMu, kMu * sqrt(sqrt(apart))));
     g.each(
         [&](int p, int i) {
           Entries s = at(iterate_.s, p), y = at(iterate_.y, p);
-          split(at(g.b, p)[i] - at(r.y, p)[i] - y[i], mu, s[i], y[i]);
+          split(s[i] - y[i], mu, s[i], y[i]);
         },
-        [&](int p, int i, int d, int c) {
+        [&](int p, int i, int d, int) {
           const Entries of_s = at(iterate_.s, p) + i, of_y = at(iterate_.y, p) + i;
-          const soc::Held b = soc::hold(at(g.b, p) + i, d), ax = soc::hold(at(r.y, p) + i, d);
-          soc::Held s = soc::room(of_s, d), y = soc::hold(of_y, d);
-          soc::each(s, [&](int j) { return b[j] - ax[j]; });
-          if (c >= g.user_cones) {  // the bound of a norm is the norm
-            Pack norm = soc::tail_norm(s);
-            soc::set_head(s, norm);
-            g.of_primal(iterate_.x, p)[c == g.virtual_cone ? g.zeta : g.xi] = norm;
-          }
+          soc::Held s = soc::hold(of_s, d), y = soc::hold(of_y, d);
           soc::each(s, [&](int j) { return s[j] - y[j]; });
           // of the gap the spectral values, each of which is split
           const Pack gap = soc::head(s), norm = soc::tail_norm(s), over = 1.0 / soc::positive(norm);
@@ -199,14 +209,32 @@ class InteriorPoint {
     else system_.solve<2>(scaling_, rounds, sides_);
     const double slope = near_ ? 0.0 : find_slope(), product = old.tau * old.kappa;
     embed(1.0, slope, product);
-    const double left = 1.0 - find_slacks(old.s), sigma = left * left * left;
+    const double sigma = centring(find_slacks(old.s));
     const double target = product + direction_.tau * direction_.kappa - sigma * r.mu;
 
     // Mehrotra's combined direction: centring by sigma and second-order correction
     correct(1.0 - sigma, sigma * r.mu);
     system_.solve<1>(scaling_, rounds, sides_);
     embed(1.0 - sigma, slope, target);
-    take(0.99 * find_slacks(direction_.s));
+    const Steps longest = find_slacks(direction_.s);
+    const double part = near_ ? kNearlyAll : kAlmostAll;
+    take(part * longest.primal, part * longest.dual);
+  }
+
+  // How far a direction goes before it leaves the cones, at most one, with slacks and with multipliers; and what products
+  // of the iterate and of the direction there are.
+  struct Steps {
+    double primal, dual, along, squared;  // y'ds, ds'dy
+  };
+
+  // Mehrotra's share of the complementarity to aim at: the cube of what the affine direction leaves of it. As
+  // s'dy + y'ds = -s'y of this direction, that is known of y'ds and ds'dy.
+  double centring(const Steps& affine) const {
+    const double a = affine.primal, b = affine.dual, before = residuals_.mu * program_.degree;
+    double left = 1.0 - a;
+    if (near_) left = 1.0 - b + ((a - b) * affine.along + a * b * affine.squared) / before;
+    left = most(0.0, least(1.0, left));
+    return left * left * left;
   }
 
   // The combined right side, residuals reduced by ``part``:  lifted = s + W (lambda \ (W^-1 ds o W dy - centre e)),
@@ -268,20 +296,26 @@ class InteriorPoint {
     });
   }
 
-  // The direction of the slacks, of that of the multipliers; it may take the place of ``lifted``. Returns the longest
-  // step along both, at most one, that stays in the cones.
-  JAXSCP_CALLED double find_slacks(Packs lifted) {
+  // The direction of the slacks, of that of the multipliers; it may take the place of ``lifted``. Of a linear program the
+  // multipliers' residuals do not depend on the variables: both then go as far as they can.
+  JAXSCP_CALLED Steps find_slacks(Packs lifted) {
     const Program& g = program_;
     const Iterate& old = iterate_;
     const Iterate& out = direction_;
-    const double step = fold(g.packs, Parts{g.r, g.cone_count}, Least{all(1.0)}, [&](int p, int k, Least& found) {
-      auto see = [&](int of, Pack step) { found.see(where(within(p, of), step, all(1.0))); };
+    enum { kAlong, kSquared, kSums };
+    enum { kPrimal, kDual, kLargest };  // how fast boundaries come near
+    using Total = Totals<kSums, kLargest>;
+    const Total found = fold(g.packs, Parts{g.r, g.cone_count}, Total::none(), [&](int p, int k, Total& to) {
+      auto see = [&](int of, Pack along, Pack squared, Pack primal, Pack dual) {
+        auto counted = [&](Pack v) { return where(within(p, of), v, all(0.0)); };
+        to.add(kAlong, counted(along)), to.add(kSquared, counted(squared));
+        to.see(kPrimal, counted(primal)), to.see(kDual, counted(dual));
+      };
       if (const int i = k; i < g.r) {
         const Pack w = at(scaling_.w, p)[i], s = at(old.s, p)[i], y = at(old.y, p)[i], dy = at(out.y, p)[i];
         const Pack ds = -(at(lifted, p)[i] + w * w * dy);
         at(out.s, p)[i] = ds;
-        auto bound = [](Pack v, Pack d) { return where(d < 0.0, -v / d, all(1.0)); };
-        see(g.nodes, smaller(bound(s, ds), bound(y, dy)));
+        see(g.nodes, y * ds, ds * dy, -ds / s, -dy / y);
       } else {
         auto [first, d, of_link] = g.cone_at(k - g.r);
         auto hold = [&](Packs v) { return soc::hold(at(v, p) + first, d); };
@@ -291,12 +325,17 @@ class InteriorPoint {
         soc::square(w, scaling_.eta_of(p, k - g.r), dy, square);
         soc::each(ds, [&](int j) { return -(lift[j] + square[j]); });
         soc::keep(ds, at(out.s, p) + first);
-        Pack far = smaller(soc::step_to_boundary(s, ds), soc::step_to_boundary(y, dy));
-        see(of_link ? g.nodes + 1 : g.nodes, far);
+        see(of_link ? g.nodes + 1 : g.nodes, soc::part_of_dot(y, ds), soc::part_of_dot(ds, dy),
+            soc::speed_to_boundary(s, ds), soc::speed_to_boundary(y, dy));
       }
-    }).value();
-    auto bound = [](double v, double d) { return d < 0.0 ? -v / d : 1.0; };
-    return least(step, least(bound(old.tau, out.tau), bound(old.kappa, out.kappa)));
+    });
+    double primal = 1.0 / most(1.0, found.largest(kPrimal)), dual = 1.0 / most(1.0, found.largest(kDual));
+    if (!near_ || g.hessian.entries > 0) {
+      auto bound = [](double v, double d) { return d < 0.0 ? -v / d : 1.0; };
+      primal = least(least(primal, dual), least(bound(old.tau, out.tau), bound(old.kappa, out.kappa)));
+      dual = primal;
+    }
+    return {primal, dual, found.sum(kAlong), found.sum(kSquared)};
   }
 
   // Derivative of the embedding's last equation along the constant direction; always negative.
@@ -322,22 +361,25 @@ class InteriorPoint {
     return -(curvature + iterate_.kappa / iterate_.tau);
   }
 
-  JAXSCP_CALLED void take(double length) {
+  JAXSCP_CALLED void take(double primal, double dual) {
     // the next iterate takes the place of the direction
     const Program& g = program_;
     Iterate &old = iterate_, &next = direction_;
-    double tau = old.tau + length * next.tau, kappa = old.kappa + length * next.kappa, unit = 1.0 / most(tau, kappa);
+    double tau = old.tau + primal * next.tau, kappa = old.kappa + primal * next.kappa, unit = 1.0 / most(tau, kappa);
     once([&] { next.tau = unit * tau, next.kappa = unit * kappa; });
-    const int many = g.primal.size + 2 * g.cone.size;
     const Packs from = old.all, to = next.all;
-    fill(g.packs, many, [&](int p, int i) -> Pack& { return to.of(p, many)[i]; },
-         [&](int p, int i) { return unit * (from.of(p, many)[i] + length * to.of(p, many)[i]); });
+    const int first = old.x.size, end = first + old.y.size;  // of multipliers
+    fill(g.packs, from.size / g.packs, [&](int p, int i) -> Pack& { return to[i * g.packs + p]; },
+         [&](int p, int i) {
+           const int k = i * g.packs + p;
+           return unit * (from[k] + (k < first || k >= end ? primal : dual) * to[k]);
+         });
     const Measures found = measure(next);
     once([&] {
       double error = found.error, before = residuals_.error;
       broken = !(is_finite(error) && is_finite(found.mu));
       // A step that makes a nearly solved iterate worse has run into rounding: keep the better one.
-      stalled = length < 1e-6 || (before < settings_.loose_tolerance && error > 2.0 * before);
+      stalled = least(primal, dual) < 1e-6 || (before < settings_.loose_tolerance && error > 2.0 * before);
       if (!(broken || (stalled && error > before))) {
         swap(iterate_, direction_);
         sides_[0] = of_direction();
@@ -419,7 +461,8 @@ class InteriorPoint {
   Residuals residuals_;
   Packs against_;  // -q
   // as in ``near.py``
-  static constexpr double kShareOfLack = 0.2, kLeastMu = 0.02, kMostMu = 3.0;
+  static constexpr double kAlmostAll = 0.99, kNearlyAll = 0.98;  // of a step to the boundary
+  static constexpr double kMu = 0.8, kLeastMu = 1e-3, kMostMu = 3.0;
   double tolerance_ = 0.0, size_q_ = 1.0, size_b_ = 1.0;
   int most_ = 0;  // iterations
   bool near_ = false, started_ = false;  // ``near_``: without the embedding

@@ -251,18 +251,26 @@ class Program : public ProgramLayout {
     });
   }
 
+  // A x alone.
+  JAXSCP_CALLED void times_constraints(Packs x, Packs ax) const {
+    share(packs, Parts{m}, [&](int p, int k) { carry_.of(p, m)[k] = carried(p, k, x); });
+    share(packs, Parts{constraints()}, [&](int p, int k) {
+      constraint(p, k, of_primal(x, p), [&](int i, Pack v) { of_cones(ax, p)[i] = v; });
+    });
+  }
+
   // The same by parts, for who uses them at once: what neighbours have of each other, and then so many parts of a place.
   // Part k calls row(i, entry i of A x), for two rows where it is a link's, or variable(j, entry j of P x, and of A'y).
   JAXSCP_CALLED void begin_times(Packs x, Packs y) const {
     share(packs, Parts{2 * m}, [&](int p, int k) {
-      if (k < m) carry_.of(p, m)[k] = of_nodes(p, before.times(p, k, of_primal(x, p)));
+      if (k < m) carry_.of(p, m)[k] = carried(p, k, x);
       else multiplier_.of(p, m)[k - m] = link_multiplier(y, p, k - m);
     });
   }
-  Parts products() const { return {r + u + m + n + 1 + primal.size}; }
+  Parts products() const { return {constraints() + primal.size}; }
   template <typename Row, typename Variable>
   void product(int p, int k, Packs x, Packs y, Row row, Variable variable) const {
-    const int rows_of_a = r + u + m + n + 1, j = k - rows_of_a;
+    const int j = k - constraints();
     if (j < 0) return constraint(p, k, of_primal(x, p), row);
     variable(j, j < n ? hessian.times(p, j, of_primal(x, p)) : all(0.0), transposed(p, j, of_cones(y, p)));
   }
@@ -340,6 +348,11 @@ class Program : public ProgramLayout {
       v[virtual_ + 1 + i] = s * link;
     });
   }
+
+  int constraints() const { return r + u + m + n + 1; }
+
+  // What a node adds to the link after it.
+  Pack carried(int p, int i, Packs x) const { return of_nodes(p, before.times(p, i, of_primal(x, p))); }
 
   // Row k of A x, of half-spaces, the user's cones, links and bounds with the norm's arguments; v is x.
   template <typename Put>

@@ -296,14 +296,4 @@ struct Totals {
   double largest(int i) const { return get(numbers[kSums + i], 0); }
 };
 
-struct Least {
-  static constexpr int kMany = 1;
-  Pack number;
-
-  Pack& operator[](int) { return number; }
-  void see(Pack v) { number = smaller(v, number); }
-  void join(const Least& other) { see(other.number); }
-  double value() const { return get(number, 0); }
-};
-
 }  // namespace jaxscp
