@@ -28,7 +28,7 @@ from jaxscp.types import Controls, Nodes, Points, Scalar, States, Vector3
 GUESS_CONIC = InteriorPoint(tolerance=1e-2, refinements=0, equilibration=0)
 GUESS_VIOLATION = 1e-3  # of the route, that such a guess may leave the corridor or the cone by
 GUESS_PRICE = 0.03  # of a flight from rest to rest on a straight line
-SMOOTHING = 0.025  # of the flight time, in which accelerations change
+SMOOTHING = 0.03  # of the flight time, in which accelerations change
 
 SHARE_OF_THRUST = (
     0.48  # of what full thrust leaves after hovering: the guess's acceleration, which sets its flight time

@@ -20,8 +20,12 @@ State = TypeVar("State")
 
 # Lanes stepped at once: few, so that little work is wasted on those that have ended in a tile; but enough for the
 # device, which a smaller tile keeps busy no less long.
-TILE = {"cpu": 8}
-TILE_ELSEWHERE = 2048
+Tiles = tuple[
+    int, ...
+]  # sizes: the usual one and, if another follows, that of tiles for the few that are left
+TILE: dict[str, Tiles] = {"cpu": (8,)}
+TILE_ELSEWHERE: Tiles = (2048,)
+FEW = 2  # small tiles that take no longer than a large one of which as many lanes go on
 
 
 def while_loop(
@@ -29,7 +33,7 @@ def while_loop(
     step: Callable[[Any, State], State],
     fixed: Any,
     state: State,
-    elsewhere: int = TILE_ELSEWHERE,
+    elsewhere: Tiles = TILE_ELSEWHERE,
 ) -> State:
     """``jax.lax.while_loop``; under ``vmap``, in rounds over the lanes that are not finished.
 
@@ -40,7 +44,8 @@ def while_loop(
         step: from ``fixed`` and a state to the next; closes over no array.
         fixed: any pytree that stays as it is.
         state: a pytree of arrays, to begin with.
-        elsewhere: lanes stepped at once on other devices than CPUs.
+        elsewhere: lanes stepped at once on other devices than CPUs. A second, smaller number is of the few that are
+            left: what steps them is then compiled for both.
     """
     arrays, rest = eqx.partition(fixed, eqx.is_array)
     once = jax.jit(
@@ -66,7 +71,7 @@ def where_needed(
     act: Callable[[Any, State], State],
     fixed: Any,
     state: State,
-    elsewhere: int = TILE_ELSEWHERE,
+    elsewhere: Tiles = TILE_ELSEWHERE,
 ) -> State:
     """``act(fixed, state)`` where that is needed, else the state; under ``vmap`` the other lanes cost nothing."""
     end, _ = while_loop(
@@ -79,7 +84,7 @@ def where_needed(
     return end
 
 
-def in_tiles(act: Callable[[Any], State], fixed: Any, elsewhere: int = TILE_ELSEWHERE) -> State:
+def in_tiles(act: Callable[[Any], State], fixed: Any, elsewhere: Tiles = TILE_ELSEWHERE) -> State:
     """``act(fixed)``; under ``vmap``, a tile of lanes at a time, so that what it holds meanwhile is held for a tile.
 
     It has no derivative: keep those of ``fixed`` away by ``jax.lax.stop_gradient``.
@@ -87,7 +92,7 @@ def in_tiles(act: Callable[[Any], State], fixed: Any, elsewhere: int = TILE_ELSE
     Args:
         act: what is done with a lane.
         fixed: any pytree.
-        elsewhere: lanes of a tile on other devices than CPUs.
+        elsewhere: lanes of a tile on other devices than CPUs, as above.
 
     Example:
         >>> import jax, jax.numpy as jnp
@@ -119,14 +124,14 @@ def in_tiles(act: Callable[[Any], State], fixed: Any, elsewhere: int = TILE_ELSE
     return one(arrays)
 
 
-def _many(unfinished, step, lanes: int, elsewhere: int, every):
+def _many(unfinished, step, lanes: int, elsewhere: Tiles, every):
     """The loop for a batch. Under another ``vmap``, that of one larger batch.
 
     Args:
         unfinished: of one lane's state.
         step: of one lane.
         lanes: how many.
-        elsewhere: how many of them at once on other devices than CPUs.
+        elsewhere: how many of them at once on other devices than CPUs, as above.
         every: of each of the arrays that stay, how many lanes in a row share an entry of its leading axis, which is run
             through again when it ends; zero where all share the array.
     """
@@ -167,27 +172,39 @@ def _all(end):
     return end, jax.tree.map(lambda _: True, end)
 
 
-def _in_rounds(unfinished, step, lanes: int, elsewhere: int, every, arrays, states):
+def _in_rounds(unfinished, step, lanes: int, elsewhere: Tiles, every, arrays, states):
     """Step the lanes that are not finished, tile by tile, until there are none."""
-    tile = min(lanes, TILE.get(jax.default_backend(), elsewhere))
+    tile, *few = (min(lanes, size) for size in TILE.get(jax.default_backend(), elsewhere))
+    small = few[0] if few else tile
     axes = jax.tree.map(lambda k: 0 if k else None, every)
 
-    def one_tile(i, order, count, states):
-        index = jax.lax.dynamic_slice(order, (i * tile,), (tile,))
+    def one_tile(first, size, order, count, states):
+        index = jax.lax.dynamic_slice(order, (first,), (size,))
         entries = lambda v, k: v[(index // k) % v.shape[0]] if k else v  # noqa: E731
         fixed = jax.tree.map(entries, arrays, every)
         new = jax.vmap(step, in_axes=(axes, 0))(fixed, jax.tree.map(lambda v: entries(v, 1), states))
-        goes_on = i * tile + jnp.arange(tile) < count
+        goes_on = first + jnp.arange(size) < count
         to = jnp.where(goes_on, index, lanes)  # out of bounds: never written
         return jax.tree.map(lambda v, part: v.at[to].set(part, mode="drop"), states, new)
+
+    def tiles(first, end, size, order, count, states):
+        return jax.lax.fori_loop(
+            0,
+            (end - first + size - 1) // size,
+            lambda i, s: one_tile(first + i * size, size, order, count, s),
+            states,
+        )
 
     def one_round(states):
         going = jax.vmap(unfinished)(states)
         # behind those that go on are those that have ended
-        order = jnp.pad(jnp.argsort(~going, stable=True), (0, -lanes % tile), mode="edge")
+        order = jnp.pad(jnp.argsort(~going, stable=True), (0, -lanes % tile + small), mode="edge")
         count = jnp.sum(going)
-        return jax.lax.fori_loop(
-            0, (count + tile - 1) // tile, lambda i, s: one_tile(i, order, count, s), states
-        )
+        if small == tile:
+            return tiles(0, count, tile, order, count, states)
+        rest = count % tile
+        large = jnp.where(rest <= FEW * small, count - rest, count)
+        states = tiles(0, large, tile, order, count, states)
+        return tiles(large, count, small, order, count, states)
 
     return jax.lax.while_loop(lambda s: jnp.any(jax.vmap(unfinished)(s)), one_round, states)

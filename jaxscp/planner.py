@@ -27,7 +27,7 @@ from jaxscp.trajectory import Trajectory
 from jaxscp.types import Flag
 from jaxscp.validation import valid, validate
 
-CERTIFIED_AT_ONCE = 4096  # on a GPU, which is as long over fewer
+CERTIFIED_AT_ONCE = (4096,)  # on a GPU, which is as long over fewer
 
 
 class Planner(eqx.Module):

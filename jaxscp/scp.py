@@ -27,7 +27,9 @@ KEPT = 0.99  # of virtual control, from a subproblem to the next, where it will 
 TIGHTER = 0.5  # times as accurate, from a subproblem to the next: errors that stay as large can keep steps so
 SHARE = 3e-3  # of what is ahead, to which a subproblem is solved
 ENDING = 5e-5  # accuracy of a subproblem that may be the last: of a coarser one small steps say nothing
-TILE = 4096  # lanes that a GPU steps at once: of fewer, the last of a kernel leave more of it idle
+# Lanes that a GPU steps at once: of fewer, the last of a kernel leave more of it idle. Of the few that need another
+# subproblem or two, as many as it has room for.
+TILES = 4096, 512
 
 
 class Answer(eqx.Module):
@@ -201,7 +203,7 @@ class SCP(eqx.Module):
         """Iterate from an initial guess to the end; not at all for a lane that is not wanted."""
         start = self.init(problem, z)
         start = eqx.tree_at(lambda s: s.done, start, ~jnp.asarray(wanted))
-        return lanes.while_loop(lambda state: ~self.terminate(state), self.step, problem, start, TILE)
+        return lanes.while_loop(lambda state: ~self.terminate(state), self.step, problem, start, TILES)
 
 
 def _stays(virtual: Scalar, state: SCPState) -> Flag:

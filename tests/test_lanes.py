@@ -15,7 +15,8 @@ from jaxscp import lanes
 from jaxscp.lanes import TILE
 
 ROUNDING = 1e-14  # relative: a batch may fuse a product and a sum that one lane does not
-LARGEST = 3 * TILE["cpu"] + 5  # lanes: several tiles, and one that is not full
+FULL = TILE["cpu"][0]
+LARGEST = 3 * FULL + 5  # lanes: several tiles, and one that is not full
 
 
 def grow(factor, shift, times, start):
@@ -50,6 +51,20 @@ def test_every_lane_ends_where_it_would_alone(counts):
 BATCHED = jax.jit(jax.vmap(grow, in_axes=(0, None, 0, 0)))
 
 
+@pytest.mark.parametrize("sizes", [(8, 2), (5, 3), (40, 3)])
+def test_the_few_that_are_left_are_stepped_by_smaller_tiles(monkeypatch, sizes):
+    monkeypatch.setitem(lanes.TILE, "cpu", sizes)
+    rounds = [8 * [3] + 3 * [1] + 12 * [2], LARGEST * [1], [0] * (LARGEST - 1) + [2]]
+    factor, start = jnp.linspace(0.9, 1.1, LARGEST), jnp.arange(LARGEST * 2.0).reshape(-1, 2)
+    run = jax.jit(lambda *given: jax.vmap(grow, in_axes=(0, None, 0, 0))(*given))  # for these sizes
+    for counts in rounds:
+        times = jnp.zeros(LARGEST, int).at[: len(counts)].set(jnp.array(counts))
+        left, v = run(factor, 0.1, times, start)
+        np.testing.assert_array_equal(left, 0)
+        for i in range(LARGEST):
+            np.testing.assert_allclose(v[i], by_hand(factor[i], 0.1, times[i], start[i]), rtol=ROUNDING)
+
+
 def test_a_batch_of_batches_is_one_larger_batch():
     times, factor = jnp.arange(7), jnp.linspace(0.8, 1.2, 5)
     both = jax.vmap(jax.vmap(grow, in_axes=(None, None, 0, None)), in_axes=(0, None, None, 0))
@@ -75,7 +90,7 @@ def test_a_tile_is_filled_up_with_lanes_that_have_ended():
         return left - 1
 
     run = jax.vmap(lambda times: lanes.while_loop(lambda left: left > 0, step, None, times))
-    full = TILE["cpu"]
+    full = FULL
     jax.block_until_ready(run(jnp.array([1] * (full - 3) + [3] * 3)))
     jax.effects_barrier()
     assert sorted(stepped) == [0] * 2 * (full - 3) + [1] * full + [2] * 3 + [3] * 3

@@ -162,8 +162,10 @@ class InteriorPoint(eqx.Module):
         def steps(start: Progress, newton: type[_Newton]) -> Progress:
             most = start.iterations + self.max_iterations
             return jax.lax.while_loop(
-                lambda p: ~(self._decided(p, tolerance) | p.stalled | p.broken | (p.iterations >= most)),
-                lambda p: self._step(program, scales, p, newton),
+                lambda p: (
+                    ~(self._decided(p.residuals, tolerance) | p.stalled | p.broken | (p.iterations >= most))
+                ),
+                lambda p: self._step(program, scales, tolerance, p, newton),
                 start,
             )
 
@@ -172,7 +174,7 @@ class InteriorPoint(eqx.Module):
         else:
             start = _started(program, scales, Iterate.near(program, scales.apply(near)))
             progress = steps(start, _Newton)
-            decided = self._decided(progress, tolerance)
+            decided = self._decided(progress.residuals, tolerance)
             anew = lambda p: eqx.tree_at(lambda q: q.iterations, self._start(program, scales), p.iterations)  # noqa: E731
             progress = steps(jax.lax.cond(decided, lambda p: p, anew, progress), _Embedded)
         r = progress.residuals
@@ -233,34 +235,51 @@ class InteriorPoint(eqx.Module):
         iterate = Iterate(x, cones.lift_inside(y), slack, jnp.ones(()), jnp.ones(()))
         return _started(program, scales, iterate)
 
-    def _decided(self, progress: Progress, tolerance: Scalar) -> Bool[Array, ""]:
+    def _decided(self, r: Residuals, tolerance: Scalar) -> Bool[Array, ""]:
         """Whether the program is solved, or there is a proof that it has no solution."""
-        r = progress.residuals
         return (r.error <= tolerance) | (
             jnp.minimum(r.infeasibility, r.unboundedness) <= self.proof_tolerance
         )
 
+    def _near_the_end(self, r: Residuals) -> Bool[Array, ""]:
+        return jnp.minimum(r.error, jnp.minimum(r.infeasibility, r.unboundedness)) < self.refine_below
+
     def _step(
-        self, program: StagedProgram, scales: Scales, progress: Progress, newton: "type[_Newton]"
+        self,
+        program: StagedProgram,
+        scales: Scales,
+        tolerance: Scalar,
+        progress: Progress,
+        newton: "type[_Newton]",
     ) -> Progress:
         old, r = progress.iterate, progress.residuals
-        near = jnp.minimum(r.error, jnp.minimum(r.infeasibility, r.unboundedness)) < self.refine_below
+        near = self._near_the_end(r)
         refinements = jnp.where(near, self.refinements, 0) if self.refinements else 0
         directions = newton(program, old, self.regularisation, refinements)
 
         affine = directions.predictor(r)
-        direction = directions.corrector(r, affine, directions.centring(r, affine))
+        sigma = directions.centring(affine)
+        direction = directions.corrector(r, affine, sigma)
         primal, dual = (directions.part * length for length in directions.longest_steps(direction))
 
         new = tree_axpy(primal, direction, old)
         new = eqx.tree_at(lambda v: v.y, new, tree_axpy(dual, direction.y, old.y))
-        new = tree_axpy(1.0 / jnp.maximum(new.tau, new.kappa), new, jax.tree.map(jnp.zeros_like, new))
-        residuals = _residuals(program, scales, new)
+        unit = 1.0 / jnp.maximum(new.tau, new.kappa)
+        new = jax.tree.map(lambda v: unit * v, new)
+
+        # Far from the end the residuals are those that are left if the direction solves its equations. Nothing is
+        # said of an iterate by them.
+        left = jax.tree.map(lambda v: unit * (1.0 - dual * (1.0 - sigma)) * v, r.x)
+        left = left, jax.tree.map(lambda v: unit * (1.0 - primal * (1.0 - sigma)) * v, r.y)
+        foreseen, found = _measured(program, scales, new, *left), _residuals(program, scales, new)
+        counts = self._near_the_end(foreseen) | self._decided(foreseen, tolerance)
+        exact = near | counts | (foreseen.error <= self.loose_tolerance)
+        residuals = jax.tree.map(lambda a, b: jnp.where(exact, a, b), found, foreseen)
+
         broken = ~(jnp.isfinite(residuals.error) & jnp.isfinite(residuals.mu))
         # A step that makes a nearly solved iterate worse has run into rounding: keep the better one.
-        stalled = (jnp.minimum(primal, dual) < 1e-6) | (
-            (r.error < self.loose_tolerance) & (residuals.error > 2.0 * r.error)
-        )
+        worse = (r.error < self.loose_tolerance) & (residuals.error > 2.0 * r.error)
+        stalled = (jnp.minimum(primal, dual) < 1e-6) | worse
         keep = broken | (stalled & (residuals.error > r.error))
         new, residuals = jax.tree.map(lambda a, b: jnp.where(keep, a, b), (old, r), (new, residuals))
         return Progress(new, residuals, progress.iterations + 1, stalled, broken)
@@ -325,7 +344,7 @@ class _Newton:
         both, linear = jnp.minimum(primal, dual), jnp.all(self.program.hessian == 0.0)
         return jnp.where(linear, primal, both), jnp.where(linear, dual, both)
 
-    def centring(self, r: Residuals, affine: Iterate) -> Scalar:
+    def centring(self, affine: Iterate) -> Scalar:
         """Mehrotra's share of the complementarity to aim at: the cube of what the affine direction leaves of it."""
         primal, dual = self.longest_steps(affine)
         s, y = tree_axpy(primal, affine.s, self.iterate.s), tree_axpy(dual, affine.y, self.iterate.y)
@@ -360,7 +379,7 @@ class _Embedded(_Newton):
         step = _longest_step(self.iterate, direction)
         return step, step
 
-    def centring(self, r: Residuals, affine: Iterate) -> Scalar:
+    def centring(self, affine: Iterate) -> Scalar:
         """That of all residuals, in proportion to tau: the cube of what the affine direction leaves of them."""
         return (1.0 - _longest_step(self.iterate, affine)) ** 3
 
@@ -399,12 +418,19 @@ def _started(program: StagedProgram, scales: Scales, iterate: Iterate) -> Progre
 
 
 def _residuals(program: StagedProgram, scales: Scales, p: Iterate) -> Residuals:
+    """What is missing at an iterate."""
+    q, b = kkt.linear_cost(program), kkt.right_side(program)
+    dual = tree_axpy(1.0, kkt.times_hessian(program, p.x), kkt.times_constraints_transpose(program, p.y))
+    primal = tree_axpy(1.0, p.s, kkt.times_constraints(program, p.x))
+    return _measured(program, scales, p, tree_axpy(p.tau, q, dual), tree_axpy(-p.tau, b, primal))
+
+
+def _measured(program: StagedProgram, scales: Scales, p: Iterate, rx: Primal, ry: ConeVector) -> Residuals:
+    """Of P x + A'y + tau q and A x + s - tau b, the measures."""
     q, b = kkt.linear_cost(program), kkt.right_side(program)
     hessian_x = kkt.times_hessian(program, p.x)
-    dual = kkt.times_constraints_transpose(program, p.y)
-    primal = tree_axpy(1.0, p.s, kkt.times_constraints(program, p.x))
-    rx = jax.tree.map(lambda a, c, d: a + c + p.tau * d, hessian_x, dual, q)
-    ry = tree_axpy(-p.tau, b, primal)
+    dual = jax.tree.map(lambda r, a, d: r - a - p.tau * d, rx, hessian_x, q)
+    primal = tree_axpy(p.tau, b, ry)
     quadratic, linear, offset = tree_dot(p.x, hessian_x), tree_dot(q, p.x), tree_dot(b, p.y)
     rtau = linear + offset + p.kappa + quadratic / p.tau
     mu = (tree_dot(p.s, p.y) + p.tau * p.kappa) / (cones.degree(p.s) + 1)

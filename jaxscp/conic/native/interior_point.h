@@ -83,16 +83,21 @@ class InteriorPoint {
 
  private:
   // Whether the program is solved, or there is a proof that it has no solution.
-  bool decided() const {
-    const Residuals& r = residuals_;
+  bool decided() const { return decided(residuals_); }
+  bool decided(const Measures& r) const {
     return r.error <= tolerance_ || r.infeasibility <= settings_.proof_tolerance ||
            r.unboundedness <= settings_.proof_tolerance;
   }
 
   // Far from the end the digits that cones near their boundary take from a solution are not missed.
-  int refinements() const {
-    const Residuals& r = residuals_;
-    return least(r.error, least(r.infeasibility, r.unboundedness)) < settings_.refine_below ? settings_.refinements : 0;
+  bool near_the_end() const { return near_the_end(residuals_); }
+  bool near_the_end(const Measures& r) const {
+    return least(r.error, least(r.infeasibility, r.unboundedness)) < settings_.refine_below;
+  }
+
+  // Whether something may be said of an iterate by these, which are then to be exact.
+  bool counts(const Measures& r) const {
+    return near_the_end(r) || decided(r) || r.error <= settings_.loose_tolerance;
   }
 
   // The point that solves the program with its cones replaced by a least-squares penalty.
@@ -196,7 +201,7 @@ class InteriorPoint {
   void step() {
     const Residuals& r = residuals_;
     const Iterate& old = iterate_;
-    const int rounds = refinements();
+    const int rounds = near_the_end() ? settings_.refinements : 0;
     scaling_.set(old.s, old.y);
     system_.factor(scaling_, settings_.regularisation);
 
@@ -217,8 +222,8 @@ class InteriorPoint {
     system_.solve<1>(scaling_, rounds, sides_);
     embed(1.0 - sigma, slope, target);
     const Steps longest = find_slacks(direction_.s);
-    const double part = near_ ? kNearlyAll : kAlmostAll;
-    take(part * longest.primal, part * longest.dual);
+    const double most_of = near_ ? kNearlyAll : kAlmostAll;
+    take(most_of * longest.primal, most_of * longest.dual, 1.0 - sigma);
   }
 
   // How far a direction goes before it leaves the cones, at most one, with slacks and with multipliers; and what products
@@ -361,7 +366,8 @@ class InteriorPoint {
     return -(curvature + iterate_.kappa / iterate_.tau);
   }
 
-  JAXSCP_CALLED void take(double primal, double dual) {
+  // ``part``: of the residuals, that the direction is to take away.
+  JAXSCP_CALLED void take(double primal, double dual, double part) {
     // the next iterate takes the place of the direction
     const Program& g = program_;
     Iterate &old = iterate_, &next = direction_;
@@ -374,7 +380,9 @@ class InteriorPoint {
            const int k = i * g.packs + p;
            return unit * (from[k] + (k < first || k >= end ? primal : dual) * to[k]);
          });
-    const Measures found = measure(next);
+    const bool exact = near_the_end();
+    Measures found = exact ? measure(next) : foresee(next, unit * (1.0 - primal * part), unit * (1.0 - dual * part));
+    if (!exact && counts(found)) found = measure(next);
     once([&] {
       double error = found.error, before = residuals_.error;
       broken = !(is_finite(error) && is_finite(found.mu));
@@ -389,35 +397,57 @@ class InteriorPoint {
     });
   }
 
+  enum { kQuadratic, kLinear, kOffset, kComplementarity, kSums };
+  enum { kDual, kDualLack, kCurved, kPrimal, kPrimalLack, kLargest };
+  using Found = Totals<kSums, kLargest>;
+
   // What is missing at an iterate: vectors are left in ``residuals_``.
   JAXSCP_CALLED Measures measure(const Iterate& v) {
     const Program& g = program_;
-    const Residuals& r = residuals_;
-    enum { kQuadratic, kLinear, kOffset, kComplementarity, kSums };
-    enum { kDual, kDualLack, kCurved, kPrimal, kPrimalLack, kLargest };
-    using Total = Totals<kSums, kLargest>;
     g.begin_times(v.x, v.y);
-    Total found = fold(g.packs, g.products(), Total::none(), [&](int p, int k, Total& to) {
-      auto row = [&](int i, Pack product) {
-        auto counted = [&](Pack of) { return g.of_places(p, i, g.cone, of); };
-        const Pack y = at(v.y, p)[i], s = at(v.s, p)[i], b = at(g.b, p)[i];
-        const Pack primal = product + s, lack = primal - v.tau * b;
-        at(r.y, p)[i] = lack;
-        to.see(kPrimal, counted(magnitude(primal))), to.see(kPrimalLack, counted(magnitude(lack)));
-        to.add(kOffset, counted(b * y)), to.add(kComplementarity, counted(s * y));
-      };
-      auto variable = [&](int j, Pack curved, Pack dual) {
-        auto counted = [&](Pack of) { return g.of_places(p, j, g.primal, of); };
-        const Pack x = g.of_primal(v.x, p)[j], q = g.of_primal(g.q, p)[j], lack = curved + dual + v.tau * q;
-        g.of_primal(r.curved, p)[j] = curved, g.of_primal(r.x, p)[j] = lack;
-        to.see(kDual, counted(magnitude(dual))), to.see(kCurved, counted(magnitude(curved)));
-        to.see(kDualLack, counted(magnitude(lack)));
-        to.add(kQuadratic, counted(x * curved)), to.add(kLinear, counted(q * x));
-      };
+    return measures(v, fold(g.packs, g.products(), Found::none(), [&](int p, int k, Found& to) {
+      auto row = [&](int i, Pack product) { see_row(v, p, i, product + at(v.s, p)[i], to); };
+      auto variable = [&](int j, Pack curved, Pack dual) { see_variable(v, p, j, curved, dual, to); };
       g.product(p, k, v.x, v.y, row, variable);
-    });
+    }));
+  }
+
+  // The same after a step, if directions solve their equations: what was missing, ``primal`` and ``dual`` of it.
+  JAXSCP_CALLED Measures foresee(const Iterate& v, double primal, double dual) {
+    const Program& g = program_;
+    const Residuals& r = residuals_;
+    return measures(v, fold(g.packs, Parts{g.cone.size + g.primal.size}, Found::none(), [&](int p, int k, Found& to) {
+      if (k < g.cone.size) return see_row(v, p, k, primal * at(r.y, p)[k] + v.tau * at(g.b, p)[k], to);
+      const int j = k - g.cone.size;
+      const Pack curved = j < g.n ? g.hessian.times(p, j, g.of_primal(v.x, p)) : all(0.0);
+      see_variable(v, p, j, curved, dual * g.of_primal(r.x, p)[j] - curved - v.tau * g.of_primal(g.q, p)[j], to);
+    }));
+  }
+
+  // A x + s, of which row i of the constraints asks for tau b.
+  void see_row(const Iterate& v, int p, int i, Pack primal, Found& to) const {
+    const Program& g = program_;
+    auto counted = [&](Pack of) { return g.of_places(p, i, g.cone, of); };
+    const Pack y = at(v.y, p)[i], s = at(v.s, p)[i], b = at(g.b, p)[i], lack = primal - v.tau * b;
+    at(residuals_.y, p)[i] = lack;
+    to.see(kPrimal, counted(magnitude(primal))), to.see(kPrimalLack, counted(magnitude(lack)));
+    to.add(kOffset, counted(b * y)), to.add(kComplementarity, counted(s * y));
+  }
+
+  // P x and A'y, of whose sum a variable asks for -tau q.
+  void see_variable(const Iterate& v, int p, int j, Pack curved, Pack dual, Found& to) const {
+    const Program& g = program_;
+    auto counted = [&](Pack of) { return g.of_places(p, j, g.primal, of); };
+    const Pack x = g.of_primal(v.x, p)[j], q = g.of_primal(g.q, p)[j], lack = curved + dual + v.tau * q;
+    g.of_primal(residuals_.curved, p)[j] = curved, g.of_primal(residuals_.x, p)[j] = lack;
+    to.see(kDual, counted(magnitude(dual))), to.see(kCurved, counted(magnitude(curved)));
+    to.see(kDualLack, counted(magnitude(lack)));
+    to.add(kQuadratic, counted(x * curved)), to.add(kLinear, counted(q * x));
+  }
+
+  Measures measures(const Iterate& v, const Found& found) const {
     const double quadratic = found.sum(kQuadratic), linear = found.sum(kLinear), offset = found.sum(kOffset);
-    const double mu = (found.sum(kComplementarity) + v.tau * v.kappa) / g.degree;
+    const double mu = (found.sum(kComplementarity) + v.tau * v.kappa) / program_.degree;
     const double primal_cost = (0.5 * quadratic / v.tau + linear) / v.tau;
     const double dual_cost = (-0.5 * quadratic / v.tau - offset) / v.tau;
     // The gap is judged in the user's unit of cost, the residuals in equilibrated units.
