@@ -38,7 +38,7 @@ def attitudes(
 
 def body_rates(attitude: Float[Array, "nodes 4"], interval: Scalar) -> Float[Array, "nodes 3"]:
     """Body rates in rad/s of attitudes that follow one another after an interval in s, by differences."""
-    rate = jnp.gradient(attitude, axis=0) / interval
+    rate = _rate(attitude, interval)
     return 2.0 * jax.vmap(lambda q, dq: rotations.multiply(rotations.conjugate(q), dq)[1:])(attitude, rate)
 
 
@@ -51,9 +51,15 @@ def thrusts(
     """Least-norm thrusts in N that push and turn a body so: equations (2) and (4), solved for them."""
     force = body.mass * jnp.linalg.norm(jax.vmap(_specific_force, (None, 0))(body, acceleration), axis=1)
     spin = body_rate @ body.inertia.T
-    torque = jnp.gradient(spin, axis=0) / interval + jnp.cross(body_rate, spin)
+    torque = _rate(spin, interval) + jnp.cross(body_rate, spin)
     wrench = jnp.concatenate([jnp.zeros((*force.shape, 2)), force[:, None], torque], axis=1)
     return wrench @ body.least_thrusts().T
+
+
+def _rate(values: Float[Array, "nodes numbers"], interval: Scalar) -> Float[Array, "nodes numbers"]:
+    """By central differences, at the ends one-sided."""
+    change: Array = jnp.asarray(jnp.gradient(values, axis=0))
+    return change / interval
 
 
 def _specific_force(body: RigidBody, acceleration: Vector3) -> Vector3:
@@ -67,7 +73,7 @@ def _along(force: Vector3, attitude: Quaternion) -> Quaternion:
     """An attitude turned until its z axis is along a force."""
     size = jnp.linalg.norm(force)
     axis = rotations.rotation_matrix(attitude)[:, 2]
-    towards = jnp.where(size > 0, force / jnp.where(size > 0, size, 1.0), axis)
+    towards = jnp.where(size > 0, force / jnp.maximum(size, 1e-30), axis)
     # the half angle's cosine and sine times one length: 1 + cos, and the sine
     head = jnp.maximum(1.0 + axis @ towards, OPPOSITE)
     turn = jnp.concatenate([head[None], jnp.cross(axis, towards)])
