@@ -137,3 +137,25 @@ def test_the_start_is_on_the_central_path_and_keeps_the_gap(norm):
     np.testing.assert_array_equal(y.zero, hard * given.multipliers.links)
     gap = kkt.right_side(program).orthant - kkt.times_constraints(program, x).orthant - given.multipliers.rows
     np.testing.assert_allclose(s.orthant - y.orthant, gap, atol=ROUNDING)
+
+
+@pytest.mark.parametrize("enough", [1e-2, 1e-6])
+@pytest.mark.parametrize("norm", [True, False], ids=["norm cost", "quadratic cost"])
+@pytest.mark.parametrize("compiled", [True, False], ids=["compiled", "JAX"])
+def test_what_is_said_of_the_end_is_measured_there(compiled, norm, enough):
+    """Far from the end residuals are foreseen, which is not to be believed of an answer."""
+    given = random_program(3, norm=norm)
+    near = near_of(jax.jit(InteriorPoint(tolerance=1e-2).__call__)(moved(given, 0.3)))
+    end = jax.jit(InteriorPoint(compiled=compiled).iterate)(given, enough, near)
+    program, scales = equilibrate(given)
+    x, y, s = end.iterate.x, end.iterate.y, end.iterate.s
+    q, b, curved = kkt.linear_cost(program), kkt.right_side(program), kkt.times_hessian(program, x)
+    dual = cones.tree_axpy(1.0, kkt.times_constraints_transpose(program, y), cones.tree_axpy(1.0, curved, q))
+    primal = cones.tree_axpy(1.0, kkt.times_constraints(program, x), cones.tree_axpy(-1.0, b, s))
+    half = 0.5 * cones.tree_dot(x, curved)
+    cost, bound = half + cones.tree_dot(q, x), -half - cones.tree_dot(b, y)
+    gap = jnp.abs(cost - bound) / jnp.maximum(scales.cost, jnp.minimum(jnp.abs(cost), jnp.abs(bound)))
+    lacks = [cones.tree_max(v) / jnp.maximum(1.0, cones.tree_max(of)) for v, of in ((primal, b), (dual, q))]
+    np.testing.assert_allclose(end.iterate.tau, 1.0)
+    np.testing.assert_allclose(end.error, jnp.max(jnp.stack([gap, *lacks])), rtol=1e-6, atol=1e-12)
+    assert float(end.error) <= enough
