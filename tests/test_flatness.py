@@ -53,9 +53,12 @@ def test_no_axis_to_turn_about_gives_an_attitude_all_the_same(force):
     np.testing.assert_allclose(jnp.linalg.norm(found), 1.0, atol=ROUNDING)
 
 
+GUESS = jax.jit(initial_guess)  # compiled once for a mission
+
+
 def guess_of(scenario):
     allocation = allocate(scenario.corridor, scenario.start.position, scenario.goal.position, NODES)
-    return jax.jit(initial_guess)(scenario, allocation), allocation
+    return GUESS(scenario, allocation), allocation
 
 
 @pytest.mark.parametrize("mission", [scenarios.platform_to_platform, scenarios.ascent_to_platform])
