@@ -24,7 +24,7 @@ from jaxscp.mission import BodyState, LandingScenario
 from jaxscp.status import StatusCode
 from jaxscp.types import Controls, Nodes, Points, Scalar, States, Vector3
 
-# A guess needs no more: within a percent of the least effort. Its units do what equilibration would.
+# A guess needs no more: within a third of the effort along a straight line. Its units do what equilibration would.
 GUESS_CONIC = InteriorPoint(tolerance=1e-2, refinements=0, equilibration=0)
 GUESS_VIOLATION = 1e-3  # of the route, that such a guess may leave the corridor or the cone by
 GUESS_PRICE = 0.03  # of a flight from rest to rest on a straight line
@@ -102,18 +102,27 @@ class Units(eqx.Module):
     time: Scalar
     """Two intervals, s."""
 
+    @property
+    def speed(self) -> Scalar:
+        """m/s."""
+        return self.length / self.time
+
+    @property
+    def acceleration(self) -> Scalar:
+        """m/s^2."""
+        return self.speed / self.time
+
     def of_path(self, z: Float[Array, "nodes 12"]) -> tuple[Points, Points, Points]:
         """Positions, velocities and accelerations in the world, of the program's variables."""
         position, velocity, acceleration, _ = jnp.split(z, 4, axis=1)
-        speed = self.length / self.time
-        return self.origin + self.length * position, speed * velocity, speed / self.time * acceleration
+        return self.origin + self.length * position, self.speed * velocity, self.acceleration * acceleration
 
     def end(self, scenario: LandingScenario, state: BodyState) -> Float[Array, "9"]:
         """Position, velocity and acceleration at an end: what hover thrust makes of the attitude there."""
-        body, speed = scenario.airframe.body, self.length / self.time
+        body = scenario.airframe.body
         acceleration = body(state.vector(), body.hover_thrust())[3:6]
         position = (state.position - self.origin) / self.length
-        return jnp.concatenate([position, state.velocity / speed, acceleration / (speed / self.time)])
+        return jnp.concatenate([position, state.velocity / self.speed, acceleration / self.acceleration])
 
     @classmethod
     def of(cls, scenario: LandingScenario, allocation: Int[Array, "intervals"], duration: Scalar) -> "Units":

@@ -18,11 +18,11 @@ from jaxscp.types import Flag
 
 State = TypeVar("State")
 
+# Sizes: the usual one and, if another follows, that of tiles for the few lanes that are left.
+Tiles = tuple[int, ...]
+
 # Lanes stepped at once: few, so that little work is wasted on those that have ended in a tile; but enough for the
 # device, which a smaller tile keeps busy no less long.
-Tiles = tuple[
-    int, ...
-]  # sizes: the usual one and, if another follows, that of tiles for the few that are left
 TILE: dict[str, Tiles] = {"cpu": (8,)}
 TILE_ELSEWHERE: Tiles = (2048,)
 FEW = 2  # small tiles that take no longer than a large one of which as many lanes go on
@@ -178,21 +178,20 @@ def _in_rounds(unfinished, step, lanes: int, elsewhere: Tiles, every, arrays, st
     small = few[0] if few else tile
     axes = jax.tree.map(lambda k: 0 if k else None, every)
 
-    def one_tile(first, size, order, count, states):
+    def one_tile(order, end, first, size, states):
         index = jax.lax.dynamic_slice(order, (first,), (size,))
         entries = lambda v, k: v[(index // k) % v.shape[0]] if k else v  # noqa: E731
         fixed = jax.tree.map(entries, arrays, every)
         new = jax.vmap(step, in_axes=(axes, 0))(fixed, jax.tree.map(lambda v: entries(v, 1), states))
-        goes_on = first + jnp.arange(size) < count
+        goes_on = first + jnp.arange(size) < end
         to = jnp.where(goes_on, index, lanes)  # out of bounds: never written
         return jax.tree.map(lambda v, part: v.at[to].set(part, mode="drop"), states, new)
 
-    def tiles(first, end, size, order, count, states):
+    def tiles(order, first, end, size, states):
+        """Those of a size from the first to the end in an order."""
+        count = (end - first + size - 1) // size
         return jax.lax.fori_loop(
-            0,
-            (end - first + size - 1) // size,
-            lambda i, s: one_tile(first + i * size, size, order, count, s),
-            states,
+            0, count, lambda i, s: one_tile(order, end, first + i * size, size, s), states
         )
 
     def one_round(states):
@@ -201,10 +200,9 @@ def _in_rounds(unfinished, step, lanes: int, elsewhere: Tiles, every, arrays, st
         order = jnp.pad(jnp.argsort(~going, stable=True), (0, -lanes % tile + small), mode="edge")
         count = jnp.sum(going)
         if small == tile:
-            return tiles(0, count, tile, order, count, states)
+            return tiles(order, 0, count, tile, states)
         rest = count % tile
         large = jnp.where(rest <= FEW * small, count - rest, count)
-        states = tiles(0, large, tile, order, count, states)
-        return tiles(large, count, small, order, count, states)
+        return tiles(order, large, count, small, tiles(order, 0, large, tile, states))
 
     return jax.lax.while_loop(lambda s: jnp.any(jax.vmap(unfinished)(s)), one_round, states)

@@ -15,11 +15,10 @@ from jaxscp.initial_guess import guess_time, initial_guess
 ROUNDING = 1e-9
 NODES = 30
 BODY = jaxscp.airframes.paper_mav().body
+ACCELERATIONS = [[0.0, 0.0, 0.0], [3.0, -2.0, 1.0], [9.0, 4.0, -3.0], [-1.0, 8.0, 6.0]]
 
-accelerations = [[0.0, 0.0, 0.0], [3.0, -2.0, 1.0], [9.0, 4.0, -3.0], [-1.0, 8.0, 6.0]]
 
-
-@pytest.mark.parametrize("acceleration", accelerations)
+@pytest.mark.parametrize("acceleration", ACCELERATIONS)
 @pytest.mark.parametrize("yaw", [0.0, 2.5])
 def test_thrust_along_the_attitude_is_the_acceleration(acceleration, yaw):
     acceleration = jnp.array([acceleration] * 3)

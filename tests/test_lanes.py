@@ -90,10 +90,9 @@ def test_a_tile_is_filled_up_with_lanes_that_have_ended():
         return left - 1
 
     run = jax.vmap(lambda times: lanes.while_loop(lambda left: left > 0, step, None, times))
-    full = FULL
-    jax.block_until_ready(run(jnp.array([1] * (full - 3) + [3] * 3)))
+    jax.block_until_ready(run(jnp.array([1] * (FULL - 3) + [3] * 3)))
     jax.effects_barrier()
-    assert sorted(stepped) == [0] * 2 * (full - 3) + [1] * full + [2] * 3 + [3] * 3
+    assert sorted(stepped) == [0] * 2 * (FULL - 3) + [1] * FULL + [2] * 3 + [3] * 3
 
 
 @pytest.mark.parametrize("batched", [False, True])

@@ -35,6 +35,11 @@ def tree_axpy(a, x, y):
     return jax.tree.map(lambda u, v: a * u + v, x, y)
 
 
+def tree_negated(a):
+    """-a for pytrees."""
+    return jax.tree.map(jnp.negative, a)
+
+
 def tree_max(a) -> Scalar:
     """Largest absolute entry of a pytree."""
     return jnp.max(jnp.stack([jnp.max(jnp.abs(x), initial=0.0) for x in jax.tree.leaves(a)]))

@@ -41,7 +41,5 @@ def central_start(program: StagedProgram, near: Near) -> tuple[Primal, ConeVecto
 
 def _apart(s: ConeVector, y: ConeVector) -> Scalar:
     """Mean product of slack and multiplier, without its sign, of a half-space or cone."""
-    products = jnp.sum(jnp.abs(s.orthant * y.orthant)) + jnp.sum(
-        jnp.abs(jnp.sum(s.second * y.second, axis=1))
-    )
-    return products / degree(s)
+    rows, cones = jnp.abs(s.orthant * y.orthant), jnp.abs(jnp.sum(s.second * y.second, axis=1))
+    return (jnp.sum(rows) + jnp.sum(cones)) / degree(s)

@@ -1,4 +1,4 @@
-// The primal-dual interior point: the loop of ``interior_point.py``, step for step.
+// The primal-dual interior point: ``interior_point.py``, ``directions.py`` and ``iterate.py``, step for step.
 #pragma once
 
 #include "newton_system.h"
@@ -307,14 +307,14 @@ class InteriorPoint {
     const Program& g = program_;
     const Iterate& old = iterate_;
     const Iterate& out = direction_;
-    enum { kAlong, kSquared, kSums };
-    enum { kPrimal, kDual, kLargest };  // how fast boundaries come near
-    using Total = Totals<kSums, kLargest>;
+    enum { kAlong, kSquared, kProducts };
+    enum { kOfSlacks, kOfMultipliers, kSpeeds };  // at which boundaries come near
+    using Total = Totals<kProducts, kSpeeds>;
     const Total found = fold(g.packs, Parts{g.r, g.cone_count}, Total::none(), [&](int p, int k, Total& to) {
-      auto see = [&](int of, Pack along, Pack squared, Pack primal, Pack dual) {
+      auto see = [&](int of, Pack along, Pack squared, Pack slack, Pack multiplier) {
         auto counted = [&](Pack v) { return where(within(p, of), v, all(0.0)); };
         to.add(kAlong, counted(along)), to.add(kSquared, counted(squared));
-        to.see(kPrimal, counted(primal)), to.see(kDual, counted(dual));
+        to.see(kOfSlacks, counted(slack)), to.see(kOfMultipliers, counted(multiplier));
       };
       if (const int i = k; i < g.r) {
         const Pack w = at(scaling_.w, p)[i], s = at(old.s, p)[i], y = at(old.y, p)[i], dy = at(out.y, p)[i];
@@ -334,7 +334,7 @@ class InteriorPoint {
             soc::speed_to_boundary(s, ds), soc::speed_to_boundary(y, dy));
       }
     });
-    double primal = 1.0 / most(1.0, found.largest(kPrimal)), dual = 1.0 / most(1.0, found.largest(kDual));
+    double primal = 1.0 / most(1.0, found.largest(kOfSlacks)), dual = 1.0 / most(1.0, found.largest(kOfMultipliers));
     if (!near_ || g.hessian.entries > 0) {
       auto bound = [](double v, double d) { return d < 0.0 ? -v / d : 1.0; };
       primal = least(least(primal, dual), least(bound(old.tau, out.tau), bound(old.kappa, out.kappa)));
@@ -445,6 +445,7 @@ class InteriorPoint {
     to.add(kQuadratic, counted(x * curved)), to.add(kLinear, counted(q * x));
   }
 
+  // As in ``iterate.py``.
   Measures measures(const Iterate& v, const Found& found) const {
     const double quadratic = found.sum(kQuadratic), linear = found.sum(kLinear), offset = found.sum(kOffset);
     const double mu = (found.sum(kComplementarity) + v.tau * v.kappa) / program_.degree;
