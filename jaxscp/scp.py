@@ -96,7 +96,7 @@ class SCP(eqx.Module):
         max_iterations: subproblems allowed.
         substeps: RK4 steps an interval; never fewer than ten, since optimisers exploit the error of four.
         coarsest: relative accuracy of the first subproblem; the next are solved better and better. Zero solves all to
-            the solver's tolerance: a quarter more Newton steps at least, for costs that differ by less than a thousandth.
+            the solver's tolerance: a quarter more Newton steps at least, for costs within a thousandth of these.
         conic: solver of the subproblems, which is told what accuracy is enough and where the solution may be near.
     """
 
