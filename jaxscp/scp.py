@@ -25,8 +25,8 @@ from jaxscp.types import Count, Flag, Scalar
 
 KEPT = 0.99  # of virtual control, from a subproblem to the next, where it will not vanish
 TIGHTER = 0.5  # times as accurate, from a subproblem to the next: errors that stay as large can keep steps so
-SHARE = 3e-3  # of what is ahead, to which a subproblem is solved
-ENDING = 5e-5  # accuracy of a subproblem that may be the last: of a coarser one small steps say nothing
+SHARE = 1e-2  # of what is ahead, to which a subproblem is solved
+ENDING = 5e-5  # accuracy of one that may be the last: of a coarser one small steps say nothing, a finer is of no use
 # Lanes that a GPU steps at once: of fewer, the last of a kernel leave more of it idle. Of the few that need another
 # subproblem or two, as many as it has room for.
 TILES = 4096, 512
@@ -96,7 +96,7 @@ class SCP(eqx.Module):
         max_iterations: subproblems allowed.
         substeps: RK4 steps an interval; never fewer than ten, since optimisers exploit the error of four.
         coarsest: relative accuracy of the first subproblem; the next are solved better and better. Zero solves all to
-            the solver's tolerance: a quarter more Newton steps at least, for costs within a thousandth of these.
+            the solver's tolerance: half as many Newton steps again and more, for costs within 2e-3 of these.
         conic: solver of the subproblems, which is told what accuracy is enough and where the solution may be near.
     """
 
@@ -106,8 +106,8 @@ class SCP(eqx.Module):
     tolerance_step: float = 1e-3
     max_iterations: int = eqx.field(default=50, static=True)
     substeps: int = eqx.field(default=10, static=True)
-    coarsest: float = 0.1
-    conic: ConicSolver = InteriorPoint(tolerance=1e-6, equilibration=1)
+    coarsest: float = 0.3
+    conic: ConicSolver = InteriorPoint(tolerance=1e-6, equilibration=1, refine_below=1e-5)
 
     @property
     def published(self) -> bool:
@@ -182,11 +182,12 @@ class SCP(eqx.Module):
     def accuracy(self, state: SCPState) -> Scalar:
         """Relative accuracy that the next subproblem is worth: next to nothing is gained by more.
 
-        A reference that moves far is soon another one; near the end, steps are about the square of the last one.
+        A reference that moves far is soon another one; near the end, steps are about the square of the last one, until
+        they are too small to matter.
         """
         last = state.history.step[state.iterations - 1]  # zero before the first, whose row is the last one's
         most = self.coarsest * TIGHTER ** state.iterations.astype(last.dtype)
-        return jnp.where(state.iterations == 0, most, jnp.minimum(most, SHARE * last**2))
+        return jnp.where(state.iterations == 0, most, jnp.minimum(most, jnp.maximum(ENDING, SHARE * last**2)))
 
     def _program(
         self, problem: OptimalControlProblem, z: Float[Array, "nodes variables"], flow: Discretisation

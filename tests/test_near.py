@@ -11,7 +11,7 @@ from jaxscp.conic import cones, kkt
 from jaxscp.conic.equilibrate import equilibrate
 from jaxscp.conic.examples import random_program
 from jaxscp.conic.interior_point import InteriorPoint
-from jaxscp.conic.near import LEAST, MOST, central_start
+from jaxscp.conic.near import AT_BOUND, LEAST, MOST, central_start
 from jaxscp.conic.program import Multipliers, Near
 
 SAME_COST = 1e-6  # relative: both answers are as accurate as the solver's tolerance
@@ -137,6 +137,22 @@ def test_the_start_is_on_the_central_path_and_keeps_the_gap(norm):
     np.testing.assert_array_equal(y.zero, hard * given.multipliers.links)
     gap = kkt.right_side(program).orthant - kkt.times_constraints(program, x).orthant - given.multipliers.rows
     np.testing.assert_allclose(s.orthant - y.orthant, gap, atol=ROUNDING)
+
+
+@pytest.mark.parametrize("share", [0.9, 1.1])
+def test_virtual_control_is_kept_where_its_multiplier_is_at_the_bound(share):
+    """Elsewhere a solution has none: what the links lack is left to the steps."""
+    program, _ = equilibrate(random_program(0))
+    near = Near(program.gradient, Multipliers.zeros(program))
+    soft, weight = program.links.soft, program.links.weight
+    sizes = np.where(np.arange(len(weight)) == 1, share * AT_BOUND, 0.5) * weight
+    links = sizes[:, None] * soft / jnp.sqrt(jnp.maximum(1.0, jnp.sum(soft, axis=1, keepdims=True)))
+    near = eqx.tree_at(lambda n: n.multipliers.links, near, links)
+    x, _, _ = central_start(program, near)
+    virtual = np.linalg.norm(program.virtual_control(near.z), axis=1)
+    assert np.min(virtual[1:3]) > 0.0
+    np.testing.assert_allclose(x.zeta[1], virtual[1] if share > 1.0 else 0.0)
+    np.testing.assert_array_equal(np.delete(x.zeta, 1), 0.0)
 
 
 @pytest.mark.parametrize("norm", [True, False], ids=["norm cost", "quadratic cost"])

@@ -1,6 +1,7 @@
 """A hundred random missions: every plan, flown again by an independent integrator, ends at its goal."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -11,6 +12,7 @@ from tests.random_instances import random_instances
 
 DISTANCE = 1e-3  # m, what a landing may miss
 ANGLE = np.radians(0.1)
+COARSE = 2e-3  # relative: costs of stops, none optimal, of coarse and of exact subproblems
 MISSIONS = {
     "platform": jaxscp.scenarios.platform_to_platform,
     "ascend": jaxscp.scenarios.ascent_to_platform,
@@ -29,6 +31,17 @@ def test_plans_land_where_they_say(seed):
     assert np.max(solutions.certificate.attitude_error) < ANGLE
     for leaf in jax.tree.leaves(solutions):
         assert np.all(np.isfinite(leaf))
+
+
+@pytest.mark.slow
+def test_coarse_subproblems_end_where_exact_ones_do():
+    scenarios = random_instances(jax.random.key(2), 50)
+    methods = jaxscp.SCP(), jaxscp.SCP(coarsest=0.0)
+    coarse, exact = (jax.jit(jax.vmap(jaxscp.Planner(method=method)))(scenarios) for method in methods)
+    assert set(status_names(coarse.status)) == set(status_names(exact.status)) == {"converged"}
+    np.testing.assert_allclose(coarse.cost, exact.cost, rtol=COARSE)
+    steps = [int(jnp.sum(s.history.conic_iterations)) for s in (coarse, exact)]
+    assert steps[1] > 1.5 * steps[0]
 
 
 @pytest.mark.slow

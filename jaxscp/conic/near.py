@@ -3,6 +3,10 @@
 Of the point z and its multipliers y, slacks follow from the program. Pushed inside the cones as they are, s and y would
 be far from centred; the pair with s o y = mu e that keeps their difference s - y is centred, and what it changes is of
 the size of sqrt(mu) at most (``smoothing``). The farther the pair is from complementary, the larger is mu.
+
+Where the soft links do not hold at z, virtual control would make up for it, and the steps would have its price to take
+away again. It is kept where its multiplier is at its bound, as it is at a solution with virtual control. Elsewhere it
+starts at zero: what the links lack is a residual, which a whole step takes away.
 """
 
 import jax
@@ -15,9 +19,11 @@ from jaxscp.conic.program import Near, StagedProgram
 from jaxscp.conic.smoothing import central_pair
 from jaxscp.types import Scalar
 
-# mu, in equilibrated units, is this times the fourth root of the mean product of slacks and multipliers as they are,
-# within limits: found by trial on subproblems of random flights in both modes
-MU, LEAST, MOST = 0.8, 1e-3, 3.0
+# mu, in equilibrated units, is this times that power of the mean product of slacks and multipliers as they are, within
+# limits: found by trial on subproblems of random flights in both modes
+MU, POWER, LEAST, MOST = 0.3, 0.2, 1e-3, 3.0
+
+AT_BOUND = 0.99  # of its price, from which on a multiplier speaks for virtual control
 
 
 def central_start(program: StagedProgram, near: Near) -> tuple[Primal, ConeVector, ConeVector]:
@@ -34,7 +40,12 @@ def central_start(program: StagedProgram, near: Near) -> tuple[Primal, ConeVecto
     y = ConeVector((1.0 - soft) * links, near.multipliers.rows, second)
     s = tree_axpy(-1.0, kkt.times_constraints(program, x), kkt.right_side(program))
     s = ConeVector(jnp.zeros_like(s.zero), s.orthant, s.second)
-    mu = jnp.clip(MU * _apart(s, y) ** 0.25, LEAST, MOST)
+    mu = jnp.clip(MU * _apart(s, y) ** POWER, LEAST, MOST)
+
+    # cones of virtual control are the last ones
+    kept = (jnp.linalg.norm(soft * links, axis=1) > AT_BOUND * program.links.weight).astype(virtual.dtype)
+    x = Primal(near.z, xi, kept * virtual)
+    s = ConeVector(s.zero, s.orthant, s.second.at[-kept.shape[0] :].multiply(kept[:, None]))
     pair = central_pair(jax.tree.map(jnp.subtract, s, y), mu)
     return x, pair.y, pair.s
 

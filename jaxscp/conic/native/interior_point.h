@@ -135,17 +135,19 @@ class InteriorPoint {
         soc::Held slack = soc::hold(s + i, d);
         const soc::Held right = soc::hold(b + i, d);
         soc::each(slack, [&](int j) { return right[j] - slack[j]; });
-        if (c >= g.user_cones) {
-          const Pack norm = soc::tail_norm(slack);
-          soc::set_head(slack, norm);
-          g.of_primal(iterate_.x, p)[c == g.virtual_cone ? g.zeta : g.xi] = norm;
-        }
-        soc::keep(slack, s + i);
-        const Pack product = once_of_cone(magnitude(soc::dot(slack, soc::hold(y + i, d))));
+        if (c >= g.user_cones) soc::set_head(slack, soc::tail_norm(slack));
+        const soc::Held price = soc::hold(y + i, d);
+        const Pack product = once_of_cone(magnitude(soc::dot(slack, price)));
         found.add(0, of_link ? g.of_links(p, product) : g.of_nodes(p, product));
+        if (c == g.virtual_cone) {
+          const Pack kept = where(soc::tail_norm(price) > kAtBound * soc::head(price), all(1.0), all(0.0));
+          soc::each(slack, [&](int j) { return kept * slack[j]; });
+        }
+        if (c >= g.user_cones) g.of_primal(iterate_.x, p)[c == g.virtual_cone ? g.zeta : g.xi] = soc::head(slack);
+        soc::keep(slack, s + i);
       }
     }).sum(0) / (g.degree - 1.0);
-    const double mu = most(kLeastMu, least(kMostMu, kMu * sqrt(sqrt(apart))));
+    const double mu = most(kLeastMu, least(kMostMu, kMu * pow(apart, kPower)));
     g.each(
         [&](int p, int i) {
           Entries s = at(iterate_.s, p), y = at(iterate_.y, p);
@@ -493,7 +495,7 @@ class InteriorPoint {
   Packs against_;  // -q
   // as in ``near.py``
   static constexpr double kAlmostAll = 0.99, kNearlyAll = 0.98;  // of a step to the boundary
-  static constexpr double kMu = 0.8, kLeastMu = 1e-3, kMostMu = 3.0;
+  static constexpr double kMu = 0.3, kPower = 0.2, kAtBound = 0.99, kLeastMu = 1e-3, kMostMu = 3.0;
   double tolerance_ = 0.0, size_q_ = 1.0, size_b_ = 1.0;
   int most_ = 0;  // iterations
   bool near_ = false, started_ = false;  // ``near_``: without the embedding
