@@ -24,7 +24,7 @@ from jaxscp.status import Status, StatusCode, usable
 from jaxscp.types import Count, Flag, Scalar
 
 KEPT = 0.99  # of virtual control, from a subproblem to the next, where it will not vanish
-TIGHTER = 0.5  # times as accurate, from a subproblem to the next: errors that stay as large can keep steps so
+TIGHTER = 0.3  # times as accurate, from a subproblem to the next: errors that stay as large can keep steps so
 SHARE = 1e-2  # of what is ahead, to which a subproblem is solved
 ENDING = 5e-5  # accuracy of one that may be the last: of a coarser one small steps say nothing, a finer is of no use
 # Lanes that a GPU steps at once: of fewer, the last of a kernel leave more of it idle. Of the few that need another
@@ -107,7 +107,7 @@ class SCP(eqx.Module):
     max_iterations: int = eqx.field(default=50, static=True)
     substeps: int = eqx.field(default=10, static=True)
     coarsest: float = 0.3
-    conic: ConicSolver = InteriorPoint(tolerance=1e-6, equilibration=1, refine_below=1e-5)
+    conic: ConicSolver = InteriorPoint(equilibration=1, refine_below=1e-5)
 
     @property
     def published(self) -> bool:

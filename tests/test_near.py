@@ -19,7 +19,10 @@ ROUNDING = 1e-9  # relative, as for the loop from afar
 STEPS = 3
 
 
-@pytest.fixture(scope="module", params=[True, False], ids=["compiled", "JAX"])
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(True, id="compiled"), pytest.param(False, id="JAX", marks=pytest.mark.slow)],
+)
 def solvers(request):
     """From afar and from near."""
     solver = InteriorPoint(compiled=request.param)
