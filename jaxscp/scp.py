@@ -25,7 +25,7 @@ from jaxscp.types import Count, Flag, Scalar
 
 KEPT = 0.99  # of virtual control, from a subproblem to the next, where it will not vanish
 TIGHTER = 0.3  # times as accurate, from a subproblem to the next: errors that stay as large can keep steps so
-SHARE = 1e-2  # of what is ahead, to which a subproblem is solved
+SHARE = 5e-3  # of what is ahead, to which a subproblem is solved
 ENDING = 5e-5  # accuracy of one that may be the last: of a coarser one small steps say nothing, a finer is of no use
 # Lanes that a GPU steps at once: of fewer, the last of a kernel leave more of it idle. Of the few that need another
 # subproblem or two, as many as it has room for.

@@ -7,6 +7,9 @@ the size of sqrt(mu) at most (``smoothing``). The farther the pair is from compl
 Where the soft links do not hold at z, virtual control would make up for it, and the steps would have its price to take
 away again. It is kept where its multiplier is at its bound, as it is at a solution with virtual control. Elsewhere it
 starts at zero: what the links lack is a residual, which a whole step takes away.
+
+The trust region's bounds get more room than the central path gives them at a point that has not moved yet, or they
+alone would hold the first steps.
 """
 
 import jax
@@ -16,13 +19,14 @@ from jaxscp.conic import kkt
 from jaxscp.conic.cones import ConeVector, degree, tree_axpy
 from jaxscp.conic.kkt import Primal
 from jaxscp.conic.program import Near, StagedProgram
-from jaxscp.conic.smoothing import central_pair
+from jaxscp.conic.smoothing import Pair, central_pair
 from jaxscp.types import Scalar
 
 # mu, in equilibrated units, is this times that power of the mean product of slacks and multipliers as they are, within
 # limits: found by trial on subproblems of random flights in both modes
 MU, POWER, LEAST, MOST = 0.3, 0.2, 1e-3, 3.0
 
+ROOM = 2.0  # for moves: times their price, of mu; by trial too
 AT_BOUND = 0.99  # of its price, from which on a multiplier speaks for virtual control
 
 
@@ -47,7 +51,17 @@ def central_start(program: StagedProgram, near: Near) -> tuple[Primal, ConeVecto
     x = Primal(near.z, xi, kept * virtual)
     s = ConeVector(s.zero, s.orthant, s.second.at[-kept.shape[0] :].multiply(kept[:, None]))
     pair = central_pair(jax.tree.map(jnp.subtract, s, y), mu)
-    return x, pair.y, pair.s
+    return x, pair.y, _with_room(program, pair, ROOM * mu)
+
+
+def _with_room(program: StagedProgram, pair: Pair, worth: Scalar) -> ConeVector:
+    """Slacks with room for moves that cost as much."""
+    if program.norm is None:
+        return pair.s
+    end = pair.s.second.shape[0] - program.links.weight.shape[0]
+    trust = slice(end - program.nodes, end)
+    second = pair.s.second.at[trust, 0].add(worth / pair.y.second[trust, 0])
+    return ConeVector(pair.s.zero, pair.s.orthant, second)
 
 
 def _apart(s: ConeVector, y: ConeVector) -> Scalar:

@@ -164,7 +164,10 @@ class InteriorPoint {
           split(gap - norm, mu, s_minus, y_minus);
           soc::each(y, [&](int j) { return 0.5 * (y_plus - y_minus) * over * s[j]; });
           soc::each(s, [&](int j) { return 0.5 * (s_plus - s_minus) * over * s[j]; });
-          soc::set_head(s, 0.5 * (s_plus + s_minus)), soc::set_head(y, 0.5 * (y_plus + y_minus));
+          const Pack price = 0.5 * (y_plus + y_minus);
+          const bool of_moves = g.has_norm && i == g.trust;  // which get room
+          soc::set_head(s, 0.5 * (s_plus + s_minus) + (of_moves ? kRoom * mu / price : all(0.0)));
+          soc::set_head(y, price);
           soc::keep(s, of_s), soc::keep(y, of_y);
         });
     begin(0.0);
@@ -495,7 +498,8 @@ class InteriorPoint {
   Packs against_;  // -q
   // as in ``near.py``
   static constexpr double kAlmostAll = 0.99, kNearlyAll = 0.98;  // of a step to the boundary
-  static constexpr double kMu = 0.3, kPower = 0.2, kAtBound = 0.99, kLeastMu = 1e-3, kMostMu = 3.0;
+  static constexpr double kMu = 0.3, kPower = 0.2, kLeastMu = 1e-3, kMostMu = 3.0;
+  static constexpr double kAtBound = 0.99, kRoom = 2.0;
   double tolerance_ = 0.0, size_q_ = 1.0, size_b_ = 1.0;
   int most_ = 0;  // iterations
   bool near_ = false, started_ = false;  // ``near_``: without the embedding
