@@ -122,8 +122,10 @@ def test_the_loop_starts_as_jax_does(norm):
 
 @pytest.mark.parametrize("norm", [True, False], ids=["norm cost", "quadratic cost"])
 def test_the_start_is_on_the_central_path_and_keeps_the_gap(norm):
-    """s o y = mu e, and s - y is what the point itself has: s = b - A x, and y its multipliers. But for the trust region,
-    whose bounds have room for moves."""
+    """s o y = mu e, and s - y is what the point has: s = b - A x, and y its multipliers.
+
+    But for the trust region, whose bounds have room for moves.
+    """
     program, _ = equilibrate(random_program(0, norm=norm))
     key = jax.random.key(0)
     given = Near(
