@@ -106,6 +106,13 @@ def pack(program: StagedProgram, user, xi, trust, zeta, virtual) -> Float[Array,
     return jnp.concatenate([jnp.pad(v, ((0, 0), (0, dimension - v.shape[1]))) for v in groups])
 
 
+def places(program: StagedProgram) -> tuple[slice, slice]:
+    """Where the cones of the trust region and those of virtual control are among all: the user's come first."""
+    user = sum(nodes * count for nodes, count, _ in (cone.offset.shape for cone in program.cones))
+    end = user + (0 if program.norm is None else program.nodes)
+    return slice(user, end), slice(end, None)
+
+
 def unpack(program: StagedProgram, second: Float[Array, "cones dimension"]):
     """Groups of second-order cones: (the user's, trust region, virtual control)."""
     user, at = [], 0
@@ -113,9 +120,8 @@ def unpack(program: StagedProgram, second: Float[Array, "cones dimension"]):
         nodes, count, dimension = cone.offset.shape
         user.append(second[at : at + nodes * count, :dimension].reshape(nodes, count, dimension))
         at += nodes * count
-    end = second.shape[0] - program.links.soft.shape[0]
-    trust = second[at:end, : 1 + program.variables]
-    return user, trust, second[end:, : 1 + program.links.soft.shape[1]]
+    trust, virtual = places(program)
+    return user, second[trust, : 1 + program.variables], second[virtual, : 1 + program.links.soft.shape[1]]
 
 
 def _unpack_scaling(program: StagedProgram, scaling: SecondOrderScaling):
@@ -125,8 +131,8 @@ def _unpack_scaling(program: StagedProgram, scaling: SecondOrderScaling):
         size = w.shape[0] * w.shape[1]
         user_scalings.append(SecondOrderScaling(eta[at : at + size].reshape(w.shape[:2]), w))
         at += size
-    end = eta.shape[0] - virtual.shape[0]
-    return user_scalings, SecondOrderScaling(eta[at:end], trust), SecondOrderScaling(eta[end:], virtual)
+    of_trust, of_virtual = (eta[place] for place in places(program))
+    return user_scalings, SecondOrderScaling(of_trust, trust), SecondOrderScaling(of_virtual, virtual)
 
 
 def _stack(head: Float[Array, "chain"], tail: Float[Array, "chain n"]) -> Float[Array, "chain n+1"]:

@@ -19,11 +19,11 @@ from jaxscp.conic import kkt
 from jaxscp.conic.cones import ConeVector, degree, tree_axpy
 from jaxscp.conic.kkt import Primal
 from jaxscp.conic.program import Near, StagedProgram
-from jaxscp.conic.smoothing import Pair, central_pair
+from jaxscp.conic.smoothing import central_pair
 from jaxscp.types import Scalar
 
 # mu, in equilibrated units, is this times that power of the mean product of slacks and multipliers as they are, within
-# limits: found by trial on subproblems of random flights in both modes
+# limits: found by trial on subproblems of random flights in the paper's mode
 MU, POWER, LEAST, MOST = 0.3, 0.2, 1e-3, 3.0
 
 ROOM = 2.0  # for moves: times their price, of mu; by trial too
@@ -46,22 +46,13 @@ def central_start(program: StagedProgram, near: Near) -> tuple[Primal, ConeVecto
     s = ConeVector(jnp.zeros_like(s.zero), s.orthant, s.second)
     mu = jnp.clip(MU * _apart(s, y) ** POWER, LEAST, MOST)
 
-    # cones of virtual control are the last ones
+    trust, of_virtual = kkt.places(program)
     kept = (jnp.linalg.norm(soft * links, axis=1) > AT_BOUND * program.links.weight).astype(virtual.dtype)
     x = Primal(near.z, xi, kept * virtual)
-    s = ConeVector(s.zero, s.orthant, s.second.at[-kept.shape[0] :].multiply(kept[:, None]))
+    s = ConeVector(s.zero, s.orthant, s.second.at[of_virtual].multiply(kept[:, None]))
     pair = central_pair(jax.tree.map(jnp.subtract, s, y), mu)
-    return x, pair.y, _with_room(program, pair, ROOM * mu)
-
-
-def _with_room(program: StagedProgram, pair: Pair, worth: Scalar) -> ConeVector:
-    """Slacks with room for moves that cost as much."""
-    if program.norm is None:
-        return pair.s
-    end = pair.s.second.shape[0] - program.links.weight.shape[0]
-    trust = slice(end - program.nodes, end)
-    second = pair.s.second.at[trust, 0].add(worth / pair.y.second[trust, 0])
-    return ConeVector(pair.s.zero, pair.s.orthant, second)
+    second = pair.s.second.at[trust, 0].add(ROOM * mu / pair.y.second[trust, 0])
+    return x, pair.y, ConeVector(pair.s.zero, pair.s.orthant, second)
 
 
 def _apart(s: ConeVector, y: ConeVector) -> Scalar:
