@@ -11,13 +11,14 @@ from jaxscp.conic.cones import ConeVector, tree_axpy, tree_dot, tree_negated
 from jaxscp.conic.iterate import Iterate, Residuals
 from jaxscp.conic.kkt import Primal
 from jaxscp.conic.program import StagedProgram
-from jaxscp.types import Count, Scalar
+from jaxscp.types import Count, Flag, Scalar
 
 
 class Newton:
     """Newton directions of the program at one iterate, and how far to go along them."""
 
     part = 0.98  # of the way to the boundary
+    surely = 0.8  # of a tolerance, of what is expected
 
     def __init__(
         self, program: StagedProgram, iterate: Iterate, regularisation: float, refinements: Count | int
@@ -53,9 +54,19 @@ class Newton:
 
     def centring(self, affine: Iterate) -> Scalar:
         """Mehrotra's share of the complementarity to aim at: the cube of what the affine direction leaves of it."""
-        primal, dual = self.longest_steps(affine)
+        return jnp.clip(self._left_of(affine, *self.longest_steps(affine)), 0.0, 1.0) ** 3
+
+    def suffices(self, r: Residuals, affine: Iterate, tolerance: Scalar) -> Flag:
+        """Whether nothing is left to correct: with the part of the affine direction that can be taken the program is
+        solved."""
+        primal, dual = (self.part * length for length in self.longest_steps(affine))
+        left = jnp.maximum(self._left_of(affine, primal, dual), 1.0 - jnp.minimum(primal, dual))
+        return r.error * left <= self.surely * tolerance
+
+    def _left_of(self, affine: Iterate, primal: Scalar, dual: Scalar) -> Scalar:
+        """Share of the complementarity that steps of these lengths leave."""
         s, y = tree_axpy(primal, affine.s, self.iterate.s), tree_axpy(dual, affine.y, self.iterate.y)
-        return jnp.clip(tree_dot(s, y) / tree_dot(self.iterate.s, self.iterate.y), 0.0, 1.0) ** 3
+        return tree_dot(s, y) / tree_dot(self.iterate.s, self.iterate.y)
 
     def _solve_affine(self, right_side: tuple[Primal, ConeVector]) -> tuple[Primal, ConeVector]:
         return self._solve(*right_side)
@@ -92,6 +103,10 @@ class Embedded(Newton):
         """That of all residuals, in proportion to tau: the cube of what the affine direction leaves of them."""
         step, _ = self.longest_steps(affine)
         return (1.0 - step) ** 3
+
+    def suffices(self, r: Residuals, affine: Iterate, tolerance: Scalar) -> Flag:
+        """Never: from afar the correction is what keeps the way open."""
+        return jnp.zeros((), bool)
 
     def _solve_affine(self, right_side: tuple[Primal, ConeVector]) -> tuple[Primal, ConeVector]:
         """Together with the constant direction, which both steps share."""

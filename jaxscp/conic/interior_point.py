@@ -228,8 +228,10 @@ class InteriorPoint(eqx.Module):
         directions = newton(program, old, self.regularisation, refinements)
 
         affine = directions.predictor(r)
-        sigma = directions.centring(affine)
-        direction = directions.corrector(r, affine, sigma)
+        enough = directions.suffices(r, affine, tolerance)
+        sigma = jnp.where(enough, 0.0, directions.centring(affine))
+        corrected = directions.corrector(r, affine, sigma)
+        direction = jax.tree.map(lambda a, b: jnp.where(enough, a, b), affine, corrected)
         primal, dual = (directions.part * length for length in directions.longest_steps(direction))
 
         new = tree_axpy(primal, direction, old)

@@ -15,7 +15,7 @@ using Input = Lanes<const double>;
 using Output = Lanes<double>;
 
 // Of what a handler passes to a kernel: to be raised with every change of ``Batch``, as either may be of another time.
-constexpr long long kVersion = 6;
+constexpr long long kVersion = 7;
 
 struct Batch {
   long long lanes;
@@ -25,7 +25,7 @@ struct Batch {
   Input norm_weight, norm_scale, norm_centre;
   Input near_z, near_links, near_rows, near_cones[kMaxGroups];  // nothing where no point is thought to be near
   Output z, xi, zeta, y_zero, y_orthant, y_second, s_orthant, s_second, tau, kappa, error, infeasibility, unboundedness;
-  int cones, width;  // second-order cones of all places together, and the largest dimension
+  int width;  // the largest dimension of second-order cones
   Lanes<long long> iterations;
   Lanes<bool> stalled, broken;
   Output scales_of_columns, scales_of_links, scales_of_rows, scales_of_cones[kMaxGroups], scale_of_cost;
@@ -43,13 +43,14 @@ inline Given given(const Batch& v, const ProgramLayout& layout, long long lane) 
 }
 
 // Second-order cones in the order of ``kkt.pack``: the user's groups, trust region, virtual control.
-inline void put_cones(const Program& p, Packs from, int cones, int width, double* to) {
-  share(cones * width, [&](int i) { to[i] = 0.0; });
+inline void put_cones(const Program& p, Packs from, int width, double* to) {
   auto group = [&](int offset, ConeShape shape, int places) {
-    int each = shape.count * shape.dimension;
-    share(places, Parts{each}, [&](int k, int i) {
-      int cone = k * shape.count + i / shape.dimension;
-      to[cone * width + i % shape.dimension] = get(p.of_cones(from, k / kWidth)[offset + i], k % kWidth);
+    share(places, Parts{shape.count * width}, [&](int k, int i) {
+      const int cone = i / width, entry = i % width;
+      double v = 0.0;
+      if (entry < shape.dimension)
+        v = get(p.of_cones(from, k / kWidth)[offset + cone * shape.dimension + entry], k % kWidth);
+      to[k * shape.count * width + i] = v;
     });
     to += places * shape.count * width;
   };
@@ -92,8 +93,8 @@ inline void solve_lane(const Batch& batch, long long lane, Program& program, Sca
   scatter(v.y, p.zero, p.cone.size, p.nodes + 1, p.m, batch.y_zero.of(lane));
   scatter(v.y, 0, p.cone.size, p.nodes, p.r, batch.y_orthant.of(lane));
   scatter(v.s, 0, p.cone.size, p.nodes, p.r, batch.s_orthant.of(lane));
-  put_cones(p, v.y, batch.cones, batch.width, batch.y_second.of(lane));
-  put_cones(p, v.s, batch.cones, batch.width, batch.s_second.of(lane));
+  put_cones(p, v.y, batch.width, batch.y_second.of(lane));
+  put_cones(p, v.s, batch.width, batch.s_second.of(lane));
   put_scales(p, scales, batch, lane);
   once([&] {
     *batch.tau.of(lane) = v.tau, *batch.kappa.of(lane) = v.kappa;

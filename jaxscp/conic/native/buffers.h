@@ -91,7 +91,7 @@ inline ffi::ErrorOr<Shaped> shaped(ffi::RemainingArgs args, ffi::RemainingRets r
   std::integral_constant<ffi::DataType, ffi::F64> real;
   size_t out = 0;
   for (Output* to : {&b.z, &b.xi, &b.zeta, &b.y_zero, &b.y_orthant}) result(out++, real, *to);
-  result(out++, real, b.y_second, &b.cones, &b.width);
+  result(out++, real, b.y_second, nullptr, &b.width);
   for (Output* to : {&b.s_orthant, &b.s_second, &b.tau, &b.kappa, &b.error, &b.infeasibility, &b.unboundedness})
     result(out++, real, *to);
   result(out++, std::integral_constant<ffi::DataType, ffi::S64>(), b.iterations);

@@ -42,8 +42,8 @@ class InteriorPoint {
 
   // The equilibrated program.
   void run(double tolerance) {
-    double q = most(1.0, program_.largest_of(program_.q, program_.primal));
-    double b = most(1.0, program_.largest_of(program_.b, program_.cone));
+    const Program::Largest largest = program_.largest_of_vectors();
+    const double q = most(1.0, largest.largest(0)), b = most(1.0, largest.largest(1));
     share(against_.size, [&](int i) { against_[i] = -program_.q[i]; });
     system_.read();
     if (program_.given.near_z) {
@@ -115,19 +115,20 @@ class InteriorPoint {
       if (g.has_norm) g.of_primal(iterate_.x, p)[g.xi] = at(iterate_.s, p)[g.trust];
       g.of_primal(iterate_.x, p)[g.zeta] = at(iterate_.s, p)[g.virtual_];
     });
-    begin(1.0);
+    set_embedding(1.0);
+    begin(measure(iterate_));
   }
 
   // On the central path near the point that was given (``near.py``).
   JAXSCP_CALLED void start_near() {
     const Program& g = program_;
-    // slacks as the program has them; the bound of a norm is the norm
+    // Slacks as the program has them, which the residuals are to lack; the bound of a norm is the norm.
     g.times_constraints(iterate_.x, iterate_.s);
     using Total = Totals<1, 0>;
     const double apart = fold(g.packs, Parts{g.r, g.cone_count}, Total::none(), [&](int p, int k, Total& found) {
-      Entries s = at(iterate_.s, p), y = at(iterate_.y, p), b = at(g.b, p);
+      Entries s = at(iterate_.s, p), y = at(iterate_.y, p), b = at(g.b, p), had = at(residuals_.y, p);
       if (k < g.r) {
-        s[k] = b[k] - s[k];
+        s[k] = had[k] = b[k] - s[k];
         found.add(0, g.of_nodes(p, magnitude(s[k] * y[k])));
       } else {
         const int c = k - g.r;
@@ -139,12 +140,15 @@ class InteriorPoint {
         const soc::Held price = soc::hold(y + i, d);
         const Pack product = once_of_cone(magnitude(soc::dot(slack, price)));
         found.add(0, of_link ? g.of_links(p, product) : g.of_nodes(p, product));
+        soc::Held before = soc::room(had + i, d);
+        soc::each(before, [&](int j) { return slack[j]; });
         if (c == g.virtual_cone) {
           const Pack kept = where(soc::tail_norm(price) > kAtBound * soc::head(price), all(1.0), all(0.0));
           soc::each(slack, [&](int j) { return kept * slack[j]; });
+          soc::set_head(before, soc::head(slack));
         }
         if (c >= g.user_cones) g.of_primal(iterate_.x, p)[c == g.virtual_cone ? g.zeta : g.xi] = soc::head(slack);
-        soc::keep(slack, s + i);
+        soc::keep(before, had + i), soc::keep(slack, s + i);
       }
     }).sum(0) / (g.degree - 1.0);
     const double mu = most(kLeastMu, least(kMostMu, kMu * pow(apart, kPower)));
@@ -152,6 +156,7 @@ class InteriorPoint {
         [&](int p, int i) {
           Entries s = at(iterate_.s, p), y = at(iterate_.y, p);
           split(s[i] - y[i], mu, s[i], y[i]);
+          at(residuals_.y, p)[i] = s[i] - at(residuals_.y, p)[i];
         },
         [&](int p, int i, int d, int) {
           const Entries of_s = at(iterate_.s, p) + i, of_y = at(iterate_.y, p) + i;
@@ -168,9 +173,16 @@ class InteriorPoint {
           const bool of_moves = g.has_norm && i == g.trust;  // which get room
           soc::set_head(s, 0.5 * (s_plus + s_minus) + (of_moves ? kRoom * mu / price : all(0.0)));
           soc::set_head(y, price);
-          soc::keep(s, of_s), soc::keep(y, of_y);
+          soc::Held lack = soc::hold(at(residuals_.y, p) + i, d);
+          soc::each(lack, [&](int j) { return s[j] - lack[j]; });
+          soc::keep(s, of_s), soc::keep(y, of_y), soc::keep(lack, at(residuals_.y, p) + i);
         });
-    begin(0.0);
+    share(g.packs, Parts{g.m}, [&](int p, int i) {
+      const int k = g.zero + i;
+      at(residuals_.y, p)[k] = at(iterate_.s, p)[k] - at(g.b, p)[k];
+    });
+    set_embedding(0.0);
+    begin(measure_multipliers(iterate_));
   }
 
   // s and y of which s y = mu and s - y are given; the smaller of them from their product, as the difference cancels.
@@ -179,15 +191,16 @@ class InteriorPoint {
     s = where(gap > 0.0, large, small), y = where(gap > 0.0, small, large);
   }
 
-  void begin(double kappa) {
-    once([&] {
-      iterate_.tau = 1.0, iterate_.kappa = kappa;
-      sides_[0] = of_direction(), sides_[1] = {against_, program_.b, constant_x_, constant_y_};
-    });
-    program_.clear_zero_cone(iterate_.s), program_.clear_zero_cone(direction_.s);  // where no step changes it
-    const Measures found = measure(iterate_);
+  // Whether it is the embedding's, by kappa; and of slacks the zero cone, which no step changes.
+  void set_embedding(double kappa) {
+    once([&] { iterate_.tau = 1.0, iterate_.kappa = kappa; });
+    program_.clear_zero_cone(iterate_.s), program_.clear_zero_cone(direction_.s);
+  }
+
+  void begin(const Measures& found) {
     once([&] {
       static_cast<Measures&>(residuals_) = found;
+      sides_[0] = of_direction(), sides_[1] = {against_, program_.b, constant_x_, constant_y_};
       started_ = true;
       broken = !is_finite(residuals_.error);
     });
@@ -219,7 +232,10 @@ class InteriorPoint {
     else system_.solve<2>(scaling_, rounds, sides_);
     const double slope = near_ ? 0.0 : find_slope(), product = old.tau * old.kappa;
     embed(1.0, slope, product);
-    const double sigma = centring(find_slacks(old.s));
+    const double most_of = near_ ? kNearlyAll : kAlmostAll;
+    const Steps affine = find_slacks(old.s);
+    if (alike(suffices(affine, most_of))) return take(most_of * affine.primal, most_of * affine.dual, 1.0);
+    const double sigma = centring(affine);
     const double target = product + direction_.tau * direction_.kappa - sigma * r.mu;
 
     // Mehrotra's combined direction: centring by sigma and second-order correction
@@ -227,7 +243,6 @@ class InteriorPoint {
     system_.solve<1>(scaling_, rounds, sides_);
     embed(1.0 - sigma, slope, target);
     const Steps longest = find_slacks(direction_.s);
-    const double most_of = near_ ? kNearlyAll : kAlmostAll;
     take(most_of * longest.primal, most_of * longest.dual, 1.0 - sigma);
   }
 
@@ -237,14 +252,23 @@ class InteriorPoint {
     double primal, dual, along, squared;  // y'ds, ds'dy
   };
 
-  // Mehrotra's share of the complementarity to aim at: the cube of what the affine direction leaves of it. As
-  // s'dy + y'ds = -s'y of this direction, that is known of y'ds and ds'dy.
+  // Mehrotra's share of the complementarity to aim at: the cube of what the affine direction leaves of it.
   double centring(const Steps& affine) const {
-    const double a = affine.primal, b = affine.dual, before = residuals_.mu * program_.degree;
-    double left = 1.0 - a;
-    if (near_) left = 1.0 - b + ((a - b) * affine.along + a * b * affine.squared) / before;
-    left = most(0.0, least(1.0, left));
+    const double left = most(0.0, least(1.0, near_ ? left_of(affine, 1.0) : 1.0 - affine.primal));
     return left * left * left;
+  }
+
+  // Whether nothing is left to correct: with the part of the affine direction that can be taken the program is solved.
+  bool suffices(const Steps& affine, double part) const {
+    const double of_residuals = 1.0 - part * least(affine.primal, affine.dual);
+    return near_ && residuals_.error * most(left_of(affine, part), of_residuals) <= kSurely * tolerance_;
+  }
+
+  // What so much of the affine direction leaves of the complementarity. As s'dy + y'ds = -s'y of this direction, that is
+  // known of y'ds and ds'dy.
+  double left_of(const Steps& affine, double part) const {
+    const double a = part * affine.primal, b = part * affine.dual, before = residuals_.mu * program_.degree;
+    return 1.0 - b + ((a - b) * affine.along + a * b * affine.squared) / before;
   }
 
   // The combined right side, residuals reduced by ``part``:  lifted = s + W (lambda \ (W^-1 ds o W dy - centre e)),
@@ -387,7 +411,7 @@ class InteriorPoint {
          });
     const bool exact = near_the_end();
     Measures found = exact ? measure(next) : foresee(next, unit * (1.0 - primal * part), unit * (1.0 - dual * part));
-    if (!exact && counts(found)) found = measure(next);
+    if (!exact && alike(counts(found))) found = measure(next);
     once([&] {
       double error = found.error, before = residuals_.error;
       broken = !(is_finite(error) && is_finite(found.mu));
@@ -414,6 +438,18 @@ class InteriorPoint {
       auto row = [&](int i, Pack product) { see_row(v, p, i, product + at(v.s, p)[i], to); };
       auto variable = [&](int j, Pack curved, Pack dual) { see_variable(v, p, j, curved, dual, to); };
       g.product(p, k, v.x, v.y, row, variable);
+    }));
+  }
+
+  // The same where ``residuals_`` has what rows lack.
+  JAXSCP_CALLED Measures measure_multipliers(const Iterate& v) {
+    const Program& g = program_;
+    g.begin_times(v.x, v.y);
+    return measures(v, fold(g.packs, Parts{g.cone.size + g.primal.size}, Found::none(), [&](int p, int k, Found& to) {
+      if (k < g.cone.size) return see_row(v, p, k, at(residuals_.y, p)[k] + v.tau * at(g.b, p)[k], to);
+      g.transposed(p, k - g.cone.size, v.x, v.y, [&](int j, Pack curved, Pack dual) {
+        see_variable(v, p, j, curved, dual, to);
+      });
     }));
   }
 
@@ -496,8 +532,9 @@ class InteriorPoint {
   Packs constant_x_, constant_y_;
   Residuals residuals_;
   Packs against_;  // -q
-  // as in ``near.py``
+  // as in ``directions.py`` and ``near.py``
   static constexpr double kAlmostAll = 0.99, kNearlyAll = 0.98;  // of a step to the boundary
+  static constexpr double kSurely = 0.8;                         // of a tolerance, of what is expected
   static constexpr double kMu = 0.3, kPower = 0.2, kLeastMu = 1e-3, kMostMu = 3.0;
   static constexpr double kAtBound = 0.99, kRoom = 2.0;
   double tolerance_ = 0.0, size_q_ = 1.0, size_b_ = 1.0;

@@ -18,17 +18,24 @@ class Nodes {
 
   // Begins with another program: what ties nodes to links, node by node, and where among it an entry is.
   JAXSCP_CALLED void read() {
-    inverse_.read();
     const Matrix &after = program_.after, &before = program_.before;
-    share(2 * kPadded * n, [&](int k) {
-      const int i = k / n, j = k % n, of_link = i % kPadded;
-      const int e = of_link >= m ? -1 : i < kPadded ? after.number(i, j) : before.number(of_link, j);
-      place()[k] = e < 0 ? -1 : i < kPadded ? e : after.entries + e;
-    });
-    share_among_teams(nodes, [&](int p) {
+    if (program_.changed) {
+      inverse_.read();
+      share(2 * kPadded * n, [&](int k) {
+        const int i = k / n, j = k % n, of_link = i % kPadded;
+        const int e = of_link >= m ? -1 : i < kPadded ? after.number(i, j) : before.number(of_link, j);
+        place()[k] = e < 0 ? -1 : i < kPadded ? e : after.entries + e;
+      });
+    }
+    // a thread takes several of a node, which lie side by side here but not there
+    const int many = after.entries + before.entries;
+    share(program_.packs, Parts{(many + kAtOnce - 1) / kAtOnce}, [&](int p, int k) {
+      if (p >= nodes) return;
+      const Entries of_after = after.at(p), of_before = before.at(p);
       double* tie = ties(p);
-      in_team(after.entries, [&](int e) { tie[e] = after.at(p)[e]; });
-      in_team(before.entries, [&](int e) { tie[after.entries + e] = before.at(p)[e]; });
+#pragma unroll
+      for (int e = kAtOnce * k; e < kAtOnce * (k + 1); ++e)
+        if (e < many) tie[e] = e < after.entries ? of_after[e] : of_before[e - after.entries];
     });
   }
 
@@ -118,6 +125,7 @@ class Nodes {
  private:
   static constexpr int n = ProgramLayout::n, m = ProgramLayout::m, nodes = ProgramLayout::nodes;
   static constexpr int kOfNode = 2 * m * n;  // ties, at most
+  static constexpr int kAtOnce = 4;  // of them
 
   // Entries (i, j) of a matrix by columns.
   struct Triangle {

@@ -66,16 +66,34 @@ class Matrix {
                                            arena.take_integers(columns + 1), arena.take_integers(rows * columns)},
         near_(far_), place_(arena.take_integers(rows * columns)), value_(arena.take(packs * rows * columns)) {}
 
-  JAXSCP_CALLED void read(int nodes, int packs, Near& near, From from) {
-    share(rows * columns, [&](int at) {
-      const From::Entry entry = from.entry(at / columns, at % columns);
-      bool filled = false;
-      for (int first = 0; first < nodes && !filled; first += kAtOnce)
+  int size() const { return rows * columns; }
+
+  // Takes an entry's numbers at all nodes. Where it is filled and was not in the last program, or the other way round,
+  // the numbers of filled entries are of no use any more.
+  void read(int nodes, int packs, From from, int at) {
+    const From::Entry entry = from.entry(at / columns, at % columns);
+    const bool known = entries >= 0, was_filled = known && place_[at] != kNone;
+    const int e = was_filled ? place_[at] : 0;
+    bool filled = false;
+    for (int first = 0; first < packs; first += kAtOnce) {
+      Pack v[kAtOnce];
 #pragma unroll
-        for (int k = first; k < first + kAtOnce; ++k)  // none of which waits for the one before
-          if (k < nodes) filled |= entry(k) != 0.0;
-      place_[at] = filled ? 0 : kNone;
-    });
+      for (int k = 0; k < kAtOnce; ++k)  // none of which waits for the one before
+        for (int lane = 0; lane < kWidth; ++lane) {
+          const int node = (first + k) * kWidth + lane;
+          set(v[k], lane, node < nodes ? entry(node) : 0.0);
+          filled |= get(v[k], lane) != 0.0;
+        }
+#pragma unroll
+      for (int k = 0; k < kAtOnce; ++k)
+        if (was_filled && first + k < packs) this->at(first + k)[e] = v[k];
+    }
+    if (known && filled == was_filled) return;
+    place_[at] = filled ? 0 : kNone, stale = true;
+  }
+
+  // Numbers the filled entries.
+  JAXSCP_CALLED void enumerate(Near& near) {
     list(far_.row_start, rows, columns, [&](int i, int j) { return i * columns + j; },
          [&](int e, int i, int j, int at) { far_.of_row[e] = pair(i, j), place_[at] = e; });
     list(far_.column_start, columns, rows, [&](int j, int i) { return i * columns + j; },
@@ -89,15 +107,6 @@ class Matrix {
     near.copy(far_.row_start, near_.row_start, rows + 1), near.copy(far_.of_row, near_.of_row, entries);
     near.copy(far_.column_start, near_.column_start, columns + 1);
     near.copy(far_.of_column, near_.of_column, entries);
-    share(packs, Parts{rows}, [&](int p, int i) {
-      each_of_row(i, [&](int e, int j) {
-        const From::Entry entry = from.entry(i, j);
-        for (int lane = 0; lane < kWidth; ++lane) {
-          const int k = p * kWidth + lane;
-          set(at(p)[e], lane, k < nodes ? entry(k) : 0.0);
-        }
-      });
-    });
   }
 
   Entries at(int pack) const { return value_.of(pack, entries); }
@@ -153,11 +162,12 @@ class Matrix {
   }
 
   int rows, columns;
-  int entries = 0;
+  int entries = -1;  // that are filled; before any are known, negative
+  bool stale = false;
 
  private:
   static constexpr int kNone = -1;
-  static constexpr int kAtOnce = 8;  // numbers that are read together
+  static constexpr int kAtOnce = (7 + kWidth) / kWidth;  // packs that are read together: eight numbers
 
   // Where the lines' entries begin among all; and of each its row, with its column or its number in the row: in one
   // integer, so that there is room for them near by.
@@ -196,6 +206,7 @@ class Program : public ProgramLayout {
   Packs soft, scale;
   Packs q, b;
   Given given;  // where it is to be read from
+  bool changed = true;  // whether other entries of its matrices are filled than of the last program's
 
   Program(const Layout& layout, Arena& arena)
       : ProgramLayout(layout), hessian(n, n, packs, arena), after(m, n, packs, arena), before(m, n, packs, arena),
@@ -205,12 +216,13 @@ class Program : public ProgramLayout {
 
   JAXSCP_CALLED void read() {
     const Given& g = given;
-    Near near;
-    hessian.read(nodes, packs, near, {g.hessian, nullptr, n, n});
-    after.read(nodes, packs, near, {g.after, nullptr, m, n});
-    before.read(nodes, packs, near, {g.before + m * n, nullptr, m, n});
-    rows.read(nodes, packs, near, {g.row_matrix, nullptr, r, n});
-    user.read(nodes, packs, near, {nullptr, g.cones, u, n});
+    read_matrices();
+    once([&] { changed = hessian.stale || after.stale || before.stale || rows.stale || user.stale; });
+    if (changed) {
+      Near near;
+      each_matrix([&](Matrix& matrix, From) { matrix.enumerate(near); });
+      read_matrices();
+    }
     gather(g.soft, nodes + 1, m, soft, 0, m);
 
     share(q.size, [&](int i) { q[i] = all(0.0); });
@@ -270,8 +282,12 @@ class Program : public ProgramLayout {
   Parts products() const { return {constraints() + primal.size}; }
   template <typename Row, typename Variable>
   void product(int p, int k, Packs x, Packs y, Row row, Variable variable) const {
-    const int j = k - constraints();
-    if (j < 0) return constraint(p, k, of_primal(x, p), row);
+    if (k < constraints()) constraint(p, k, of_primal(x, p), row);
+    else transposed(p, k - constraints(), x, y, variable);
+  }
+  // The parts of variables alone.
+  template <typename Variable>
+  void transposed(int p, int j, Packs x, Packs y, Variable variable) const {
     variable(j, j < n ? hessian.times(p, j, of_primal(x, p)) : all(0.0), transposed(p, j, of_cones(y, p)));
   }
 
@@ -319,15 +335,40 @@ class Program : public ProgramLayout {
     return i < shape.of_node ? of_nodes(p, v) : of_links(p, v);
   }
 
-  // The largest entry without its sign.
-  JAXSCP_CALLED double largest_of(Packs a, Shape shape) const {
-    using Largest = Totals<0, 1>;
-    return fold(packs, Parts{shape.size}, Largest::none(), [&](int p, int i, Largest& found) {
-      found.see(0, of_places(p, i, shape, magnitude(a.of(p, shape.size)[i])));
-    }).largest(0);
+  // The largest entries of q and of b, without their signs.
+  using Largest = Totals<0, 2>;
+  JAXSCP_CALLED Largest largest_of_vectors() const {
+    return fold(packs, Parts{primal.size + cone.size}, Largest::none(), [&](int p, int k, Largest& found) {
+      if (k < primal.size) return found.see(0, of_places(p, k, primal, magnitude(of_primal(q, p)[k])));
+      const int i = k - primal.size;
+      found.see(1, of_places(p, i, cone, magnitude(of_cones(b, p)[i])));
+    });
   }
 
  private:
+  JAXSCP_CALLED void read_matrices() {
+    int size = 0;
+    each_matrix([&](Matrix& matrix, From) { size += matrix.size(); });
+    once([&] { each_matrix([](Matrix& matrix, From) { matrix.stale = false; }); });
+    share(size, [&](int at) {
+      each_matrix([&](Matrix& matrix, From from) {
+        if (at >= 0 && at < matrix.size()) matrix.read(nodes, packs, from, at);
+        at -= matrix.size();
+      });
+    });
+  }
+
+  // act(matrix, where it is read from)
+  template <typename Act>
+  void each_matrix(Act act) {
+    const Given& g = given;
+    act(hessian, {g.hessian, nullptr, n, n});
+    act(after, {g.after, nullptr, m, n});
+    act(before, {g.before + m * n, nullptr, m, n});
+    act(rows, {g.row_matrix, nullptr, r, n});
+    act(user, {nullptr, g.cones, u, n});
+  }
+
   // A ConeVector of numbers of half-spaces, which are ``beyond`` past the chain's end, of the user's cones, and of links:
   // those of hard rows are in the zero cone, of soft ones in the virtual control's. All else is zero.
   JAXSCP_CALLED void gather_cones(const double* of_rows, double beyond, const double* Given::ConeGroup::*of_cone,

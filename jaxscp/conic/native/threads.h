@@ -36,6 +36,10 @@ inline int warp_of_block() { return threadIdx.x / kWarp; }
 // found once for the warp.
 inline int common_warp() { return __shfl_sync(kEvery, warp_of_block(), 0); }
 
+// What all threads know, as a condition on which they go ways apart. Said so to the compiler, or it takes lanes for
+// apart in all that is called behind it, which makes nearly twice the code.
+inline bool alike(bool known) { return __any_sync(kEvery, known); }
+
 // act(i) for i < count
 template <typename Act>
 inline void share(int count, Act act) {
@@ -168,6 +172,8 @@ inline Found fold(int packs, Parts parts, Found first, Act act) {
 #else
 
 #define JAXSCP_CALLED
+
+inline bool alike(bool known) { return known; }
 
 inline void wait() { seat.team->wait(seat.me); }
 
