@@ -25,7 +25,7 @@ from jaxscp.types import Count, Flag, Scalar
 
 KEPT = 0.99  # of virtual control, from a subproblem to the next, where it will not vanish
 TIGHTER = 0.3  # times as accurate, from a subproblem to the next: errors that stay as large can keep steps so
-SHARE = 5e-3  # of what is ahead, to which a subproblem is solved
+SHARE = 7e-3  # of what is ahead, to which a subproblem is solved
 ENDING = 5e-5  # accuracy of one that may be the last: of a coarser one small steps say nothing, a finer is of no use
 # Lanes that a GPU steps at once: of fewer, the last of a kernel leave more of it idle. Of the few that need another
 # subproblem or two, as many as it has room for.
@@ -106,7 +106,7 @@ class SCP(eqx.Module):
     tolerance_step: float = 1e-3
     max_iterations: int = eqx.field(default=50, static=True)
     substeps: int = eqx.field(default=10, static=True)
-    coarsest: float = 0.3
+    coarsest: float = 1.0
     conic: ConicSolver = InteriorPoint(equilibration=1, refine_below=1e-5)
 
     @property

@@ -29,7 +29,26 @@ typedef double Pack;
 typedef bool Mask;
 
 inline Pack all(double v) { return v; }
-inline Pack root(Pack v) { return sqrt(v); }
+// 1 / sqrt(v) and 1 / v to rounding, of what is neither zero nor so large or so small that its inverse is none. Without
+// a way apart for such numbers, which would take as much code again, and keep two roots from being found at once.
+#if defined(JAXSCP_EMULATED_GPU)
+inline Pack inverse_root(Pack v) { return v > 0.0 ? 1.0 / sqrt(v) : sqrt(-1.0); }
+inline Pack inverse(Pack v) { return 1.0 / v; }
+#else
+inline Pack inverse_root(Pack v) {
+  double y;
+  asm("rsqrt.approx.ftz.f64 %0, %1;" : "=d"(y) : "d"(v));
+  const double error = fma(-v * y, y, 1.0);
+  return fma(y * error, __dadd_rn(__dmul_rn(error, 0.375), 0.5), y);
+}
+inline Pack inverse(Pack v) {
+  double y;
+  asm("rcp.approx.ftz.f64 %0, %1;" : "=d"(y) : "d"(v));
+  const double error = fma(-v, y, 1.0);
+  return fma(y, fma(error, error, error), y);
+}
+#endif
+inline Pack root(Pack v) { return v == 0.0 ? 0.0 : v * inverse_root(v); }
 inline double get(const Pack& v, int) { return v; }
 inline void set(Pack& v, int, double to) { v = to; }
 inline Mask within(int pack, int count) { return pack < count; }
@@ -47,6 +66,8 @@ inline Pack root(Pack v) {
   for (int lane = 0; lane < kWidth; ++lane) r[lane] = std::sqrt(v[lane]);
   return r;
 }
+inline Pack inverse(Pack v) { return 1.0 / v; }
+inline Pack inverse_root(Pack v) { return 1.0 / root(v); }
 inline double get(const Pack& v, int lane) { return v[lane]; }
 inline void set(Pack& v, int lane, double to) { v[lane] = to; }
 

@@ -45,7 +45,7 @@ inline Given given(const Batch& v, const ProgramLayout& layout, long long lane) 
 // Second-order cones in the order of ``kkt.pack``: the user's groups, trust region, virtual control.
 inline void put_cones(const Program& p, Packs from, int width, double* to) {
   auto group = [&](int offset, ConeShape shape, int places) {
-    share(places, Parts{shape.count * width}, [&](int k, int i) {
+    visit(places, Parts{shape.count * width}, [&](int k, int i) {
       const int cone = i / width, entry = i % width;
       double v = 0.0;
       if (entry < shape.dimension)
@@ -71,7 +71,7 @@ inline void put_scales(const Program& p, const Scales& from, const Batch& batch,
   for (int c = 0; c < p.sizes.groups; ++c) {
     const ConeShape group = p.sizes.cones[c];
     double* to = batch.scales_of_cones[c].of(lane);
-    share(p.nodes, Parts{group.count}, [&](int k, int i) {
+    visit(p.nodes, Parts{group.count}, [&](int k, int i) {
       to[k * group.count + i] = get(from.user.of(k / kWidth, p.u)[offset + i * group.dimension], k % kWidth);
     });
     offset += group.count * group.dimension;

@@ -34,18 +34,18 @@ inline void product(const Held& a, const Held& b, Pack less, Held& out) {
 
 // The u with a o u = b, for a inside the cone.
 inline void divide(const Held& a, const Held& b, Held& out) {
-  Pack a0 = head(a), first = (a0 * head(b) - tail_dot(a, b)) / positive(determinant(a));
-  Pack over = 1.0 / a0;
+  Pack a0 = head(a), first = (a0 * head(b) - tail_dot(a, b)) * inverse(positive(determinant(a)));
+  Pack over = inverse(a0);
   each(out, [&](int i) { return (b[i] - first * a[i]) * over; });
   set_head(out, first);
 }
 
 // Over the largest step from a point that stays in the cone; not positive where every step does.
 inline Pack speed_to_boundary(const Held& point, const Held& direction) {
-  Pack over = 1.0 / root(positive(determinant(point)));
+  Pack over = inverse_root(positive(determinant(point)));
   Pack p0 = head(point) * over, d0 = head(direction) * over;
   Pack first = p0 * d0 - tail_dot(point, direction) * over * over;
-  Pack share = (first + d0) / (p0 + 1.0);
+  Pack share = (first + d0) * inverse(p0 + 1.0);
   Pack square = tail_total(point.d, [&](int i) {
     Pack tail = (direction[i] - share * point[i]) * over;
     return tail * tail;
@@ -56,19 +56,19 @@ inline Pack speed_to_boundary(const Held& point, const Held& direction) {
 // W = eta Wbar; W^2 = eta^2 (2 w w' - J).
 inline void scaling(const Held& s, const Held& y, Held& w, Pack& eta) {
   Pack det_s = positive(determinant(s)), det_y = positive(determinant(y));
-  Pack over_s = 1.0 / root(det_s), over_y = 1.0 / root(det_y);
+  Pack over_s = inverse_root(det_s), over_y = inverse_root(det_y);
   Pack gamma = root(0.5 * (1.0 + dot(s, y) * over_s * over_y));
-  Pack half = 0.5 / gamma;
+  Pack half = 0.5 * inverse(gamma);
   each(w, [&](int i) { return (s[i] * over_s - y[i] * over_y) * half; });
   set_head(w, (head(s) * over_s + head(y) * over_y) * half);
-  eta = root(root(det_s / det_y));
+  eta = root(root(det_s * inverse(det_y)));
 }
 
 // W v, or W^-1 v for sign = -1.
 inline void scale(const Held& w, Pack eta, double sign, const Held& v, Held& out) {
   Pack along = tail_dot(w, v), v0 = head(v), w0 = head(w);
-  Pack by = sign > 0 ? eta : 1.0 / eta;
-  Pack share = sign * v0 + along / (1.0 + w0);
+  Pack by = sign > 0 ? eta : inverse(eta);
+  Pack share = sign * v0 + along * inverse(1.0 + w0);
   each(out, [&](int i) { return by * (v[i] + w[i] * share); });
   set_head(out, by * (w0 * v0 + sign * along));
 }
@@ -94,18 +94,18 @@ inline Pack scaled_square(const Held& w, Pack eta, const Held& v) {
 // W^-2 v.
 inline void inverse_square(const Held& w, Pack eta, const Held& v, Held& out) {
   Pack w0 = head(w), v0 = head(v);
-  Pack by = 1.0 / (eta * eta), along = 2.0 * (w0 * v0 - tail_dot(w, v));
+  Pack by = inverse(eta * eta), along = 2.0 * (w0 * v0 - tail_dot(w, v));
   each(out, [&](int i) { return by * (v[i] - w[i] * along); });
   set_head(out, by * (w0 * along - v0));
 }
 
 // (W^2)_{11}^-1 v for w's tail, split along and across it because the two parts differ by the square of its size.
 inline void tail_inverse(const Held& tail, Pack eta, const Held& v, Held& out) {
-  Pack size = dot(tail, tail), over = 1.0 / root(positive(size));
+  Pack size = dot(tail, tail), over = inverse_root(positive(size));
   Pack part = dot(tail, v) * over;
   each(out, [&](int i) { return v[i] - tail[i] * over * part; });
   Pack rest = dot(tail, out) * over;  // twice is enough
-  Pack by = 1.0 / (eta * eta), shrunk = part / (1.0 + 2.0 * size) - rest;
+  Pack by = inverse(eta * eta), shrunk = part * inverse(1.0 + 2.0 * size) - rest;
   each(out, [&](int i) { return by * (out[i] + tail[i] * over * shrunk); });
 }
 

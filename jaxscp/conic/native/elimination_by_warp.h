@@ -12,19 +12,6 @@
 
 namespace jaxscp {
 
-// 1 / sqrt(v), not a number for what is not positive. Without a way apart for the least and the largest numbers, which
-// would keep two roots from being found at once.
-inline double inverse_root(double v) {
-#if defined(JAXSCP_EMULATED_GPU)
-  return v > 0.0 ? 1.0 / sqrt(v) : sqrt(-1.0);
-#else
-  double y;
-  asm("rsqrt.approx.ftz.f64 %0, %1;" : "=d"(y) : "d"(v));
-  const double error = fma(-v * y, y, 1.0);
-  return fma(y * error, __dadd_rn(__dmul_rn(error, 0.375), 0.5), y);
-#endif
-}
-
 // M in place of A, whose lower triangle is given by columns; M's is zero then.
 //
 // Two columns are eliminated at once. Their pivots [a b; b c] need two roots that do not wait for each other: of a and

@@ -163,7 +163,7 @@ class InteriorPoint {
           soc::Held s = soc::hold(of_s, d), y = soc::hold(of_y, d);
           soc::each(s, [&](int j) { return s[j] - y[j]; });
           // of the gap the spectral values, each of which is split
-          const Pack gap = soc::head(s), norm = soc::tail_norm(s), over = 1.0 / soc::positive(norm);
+          const Pack gap = soc::head(s), norm = soc::tail_norm(s), over = inverse(soc::positive(norm));
           Pack s_plus, y_plus, s_minus, y_minus;
           split(gap + norm, mu, s_plus, y_plus);
           split(gap - norm, mu, s_minus, y_minus);
@@ -171,7 +171,7 @@ class InteriorPoint {
           soc::each(s, [&](int j) { return 0.5 * (s_plus - s_minus) * over * s[j]; });
           const Pack price = 0.5 * (y_plus + y_minus);
           const bool of_moves = g.has_norm && i == g.trust;  // which get room
-          soc::set_head(s, 0.5 * (s_plus + s_minus) + (of_moves ? kRoom * mu / price : all(0.0)));
+          soc::set_head(s, 0.5 * (s_plus + s_minus) + (of_moves ? kRoom * mu * inverse(price) : all(0.0)));
           soc::set_head(y, price);
           soc::Held lack = soc::hold(at(residuals_.y, p) + i, d);
           soc::each(lack, [&](int j) { return s[j] - lack[j]; });
@@ -187,7 +187,7 @@ class InteriorPoint {
 
   // s and y of which s y = mu and s - y are given; the smaller of them from their product, as the difference cancels.
   static void split(Pack gap, double mu, Pack& s, Pack& y) {
-    const Pack large = 0.5 * (magnitude(gap) + root(gap * gap + 4.0 * mu)), small = mu / large;
+    const Pack large = 0.5 * (magnitude(gap) + root(gap * gap + 4.0 * mu)), small = mu * inverse(large);
     s = where(gap > 0.0, large, small), y = where(gap > 0.0, small, large);
   }
 
@@ -279,7 +279,7 @@ class InteriorPoint {
     g.each(
         [&](int p, int i) {
           Entries lifted = at(direction_.s, p);
-          lifted[i] = at(iterate_.s, p)[i] + (lifted[i] * at(direction_.y, p)[i] - centre) / at(iterate_.y, p)[i];
+          lifted[i] = at(iterate_.s, p)[i] + (lifted[i] * at(direction_.y, p)[i] - centre) * inverse(at(iterate_.y, p)[i]);
           at(ry_, p)[i] = lifted[i] - part * at(r.y, p)[i];
         },
         [&](int p, int i, int d, int c) {
@@ -349,7 +349,7 @@ class InteriorPoint {
         const Pack w = at(scaling_.w, p)[i], s = at(old.s, p)[i], y = at(old.y, p)[i], dy = at(out.y, p)[i];
         const Pack ds = -(at(lifted, p)[i] + w * w * dy);
         at(out.s, p)[i] = ds;
-        see(g.nodes, y * ds, ds * dy, -ds / s, -dy / y);
+        see(g.nodes, y * ds, ds * dy, -ds * inverse(s), -dy * inverse(y));
       } else {
         auto [first, d, of_link] = g.cone_at(k - g.r);
         auto hold = [&](Packs v) { return soc::hold(at(v, p) + first, d); };
@@ -444,7 +444,7 @@ class InteriorPoint {
   // The same where ``residuals_`` has what rows lack.
   JAXSCP_CALLED Measures measure_multipliers(const Iterate& v) {
     const Program& g = program_;
-    g.begin_times(v.x, v.y);
+    g.begin_transposed(v.y);
     return measures(v, fold(g.packs, Parts{g.cone.size + g.primal.size}, Found::none(), [&](int p, int k, Found& to) {
       if (k < g.cone.size) return see_row(v, p, k, at(residuals_.y, p)[k] + v.tau * at(g.b, p)[k], to);
       g.transposed(p, k - g.cone.size, v.x, v.y, [&](int j, Pack curved, Pack dual) {

@@ -56,12 +56,12 @@ class NearlyDiagonal {
       soc::Held tail{n}, scale{n}, a{n}, kept{n}, u{n}, first{n};  // all zero; kept: q / a
       if (g.has_norm) {
         const Pack eta = scaling.eta_of(p, g.trust_cone);
-        by = 1.0 / (eta * eta), tail = soc::hold(w + (g.trust + 1), n), scale = soc::hold(g.scale.of(p, n), n);
+        by = inverse(eta * eta), tail = soc::hold(w + (g.trust + 1), n), scale = soc::hold(g.scale.of(p, n), n);
       }
       soc::each_entry(a, [&](int k, int j) {
         if (number(k)) return all(1.0);
         const Pack q = of_cost(scaling, regularisation, p, j, j), whole = q + by * scale[k] * scale[k];
-        kept[k] = q / whole;
+        kept[k] = q * inverse(whole);
         return whole;
       });
       // of the lower triangle of Q among the tied variables a lane has an entry
@@ -90,15 +90,15 @@ class NearlyDiagonal {
         Pack product = 0.0;
 #pragma unroll
         for (int j = 0; j < kTied; ++j) product += (j < i ? of_tied[i][j] : of_tied[j][i]) * solved[j];
-        lacks += s[i] != 0.0 ? t[i] * product / s[i] : t[i] * t[i];
+        lacks += s[i] != 0.0 ? t[i] * product * inverse(s[i]) : t[i] * t[i];
       }
       lacks = larger(lacks, 0.0) + 0.5;
       lacks += soc::total(n, [&](int k) { return number(k) ? 0.0 : tail[k] * tail[k] * kept[k]; });
-      const Pack size = root(by / lacks);
-      soc::each_entry(first, [&](int k, int) { return number(k) ? 0.0 : 1.0 / root(a[k]); });
+      const Pack size = root(by * inverse(lacks));
+      soc::each_entry(first, [&](int k, int) { return number(k) ? 0.0 : inverse_root(a[k]); });
       soc::each_entry(u, [&](int k, int) {
         const int i = number(k);
-        return size * (i ? chosen(solved, i) : scale[k] * tail[k] / a[k]);
+        return size * (i ? chosen(solved, i) : scale[k] * tail[k] * inverse(a[k]));
       });
       double* to = at(p);
 #pragma unroll
@@ -214,11 +214,11 @@ class NearlyDiagonal {
     Pack total = (one == other ? regularisation : 0.0) + (place >= 0 ? g.hessian.at(p)[place] : 0.0);
     g.rows.each_of_column(one, [&](int e, int row) {
       const int f = one == other ? e : g.rows.number(row, other);
-      if (f >= 0) total += of_rows[e] * of_rows[f] / (w[row] * w[row]);
+      if (f >= 0) total += of_rows[e] * of_rows[f] * inverse(w[row] * w[row]);
     });
     for (int c = 0; c < g.user_cones; ++c) {
       const auto [offset, d, _] = g.cone_at(c);
-      const Pack eta = scaling.eta_of(p, c), by = 1.0 / (eta * eta);
+      const Pack eta = scaling.eta_of(p, c), by = inverse(eta * eta);
       Pack along = 0.0, along_other = 0.0, product = 0.0;
 #pragma unroll 1
       for (int r = 0; r < d; ++r) {
@@ -242,7 +242,7 @@ class NearlyDiagonal {
         Pack left = a[i][j];
 #pragma unroll
         for (int k = 0; k < j; ++k) left -= l[i][k] * l[j][k];
-        l[i][j] = i == j ? 1.0 / root(left) : left * l[j][j];
+        l[i][j] = i == j ? inverse_root(left) : left * l[j][j];
       }
     }
 #pragma unroll

@@ -94,10 +94,10 @@ class NewtonSystem {
     Entries w = g.of_cones(s.w, p);
     g.hessian.each(p, [&](int i, int j, Pack v) { to(i, j) = v; });
     Entries weight = wide(p, 0);
-    in_team(g.r, [&](int i) { weight[i] = 1.0 / (w[i] * w[i]); });
+    in_team(g.r, [&](int i) { weight[i] = inverse(w[i] * w[i]); });
     in_team(g.user_cones, [&](int c) {
       auto [offset, d, _] = g.cone_at(c);
-      Pack by = 1.0 / (s.eta_of(p, c) * s.eta_of(p, c));
+      Pack by = inverse(s.eta_of(p, c) * s.eta_of(p, c));
       for (int i = 0; i < d; ++i) weight[offset + i] = i == 0 ? -by : by;
     });
     add_squares(g.rows, p, to, weight);
@@ -118,12 +118,12 @@ class NewtonSystem {
     }
     if (g.has_norm) {
       Entries w1 = w + g.trust + 1, scale = g.scale.of(p, n);
-      Pack e = s.eta_of(p, g.trust_cone), by = 1.0 / (e * e), size = soc::dot(soc::hold(w1, n), soc::hold(w1, n));
+      Pack e = s.eta_of(p, g.trust_cone), by = inverse(e * e), size = soc::dot(soc::hold(w1, n), soc::hold(w1, n));
       in_team(n, [&](int i) {
         along[i] = scale[i] * w1[i];
         to(i, i) += by * scale[i] * scale[i];
       });
-      add_square(-by * 2.0 / (1.0 + 2.0 * size), along, to);
+      add_square(-by * 2.0 * inverse(1.0 + 2.0 * size), along, to);
     }
     in_team(n, [&](int i) { to(i, i) += regularisation; });
   }
@@ -183,7 +183,7 @@ class NewtonSystem {
     Entries qx = g.of_primal(side.rx, p), qy = g.of_cones(side.ry, p), w = g.of_cones(scaling.w, p);
     Entries out = wide(p, s);
     if (k < g.r) {
-      out[k] = qy[k] / (w[k] * w[k]);
+      out[k] = qy[k] * inverse(w[k] * w[k]);
     } else if (k < g.r + g.user_cones) {
       auto [offset, d, _] = g.cone_at(k - g.r);
       soc::Held found = soc::room(out + offset, d);
@@ -237,7 +237,7 @@ class NewtonSystem {
     Entries qx = g.of_primal(side.rx, p), qy = g.of_cones(side.ry, p), w = g.of_cones(scaling.w, p);
     Entries ox = g.of_primal(side.x, p), oy = g.of_cones(side.y, p);
     if (k < g.r) {
-      oy[k] = (g.rows.times(p, k, ox) - qy[k]) / (w[k] * w[k]);
+      oy[k] = (g.rows.times(p, k, ox) - qy[k]) * inverse(w[k] * w[k]);
       return;
     }
     int c = k - g.r;

@@ -22,9 +22,10 @@ struct Given {
 };
 
 // Takes entries of ``size`` numbers at each of the first ``count`` places into packs, ``stride`` packs an entry apart.
+// Who needs them is to wait for it, here and where they are put back.
 JAXSCP_CALLED inline void gather(const double* from, int count, int size, Packs to, int offset, int stride,
                                  double beyond = 0.0) {
-  share(to.size / stride, Parts{size}, [&](int p, int i) {
+  visit(to.size / stride, Parts{size}, [&](int p, int i) {
     for (int lane = 0; lane < kWidth; ++lane) {
       int k = p * kWidth + lane;
       set(to.of(p, stride)[offset + i], lane, k < count ? from[static_cast<long long>(k) * size + i] : beyond);
@@ -33,7 +34,7 @@ JAXSCP_CALLED inline void gather(const double* from, int count, int size, Packs 
 }
 
 JAXSCP_CALLED inline void scatter(Packs from, int offset, int stride, int count, int size, double* to) {
-  share(count, Parts{size}, [&](int k, int i) {
+  visit(count, Parts{size}, [&](int k, int i) {
     to[k * size + i] = get(from.of(k / kWidth, stride)[offset + i], k % kWidth);
   });
 }
@@ -113,18 +114,19 @@ class Matrix {
   // Which entry of all (i, j) is; negative where it is zero at all nodes.
   int number(int i, int j) const { return place_[i * columns + j]; }
 
-  // act(e, j) for every filled entry of row i: the e-th of all, in column j.
+  // act(e, j) for every filled entry of row i: the e-th of all, in column j. Two at a time: more would wait for memory
+  // together, but in a GPU's cache there is room for so much code.
   template <typename Act>
   void each_of_row(int i, Act act) const {
     const int end = near_.row_start[i + 1];
-#pragma unroll 4
+#pragma unroll 2
     for (int e = near_.row_start[i]; e < end; ++e) act(e, second(near_.of_row[e]));
   }
   // act(e, i) for every filled entry of column j: the e-th of all, in row i.
   template <typename Act>
   void each_of_column(int j, Act act) const {
     const int end = near_.column_start[j + 1];
-#pragma unroll 4
+#pragma unroll 2
     for (int f = near_.column_start[j]; f < end; ++f) {
       const int i = first(near_.of_column[f]);
       act(near_.row_start[i] + second(near_.of_column[f]), i);
@@ -225,7 +227,7 @@ class Program : public ProgramLayout {
     }
     gather(g.soft, nodes + 1, m, soft, 0, m);
 
-    share(q.size, [&](int i) { q[i] = all(0.0); });
+    share(q.size, [&](int i) { q[i] = all(0.0); });  // which waits for ``soft`` too
     gather(g.gradient, nodes, n, q, 0, primal.size);
     gather(g.link_weight, nodes + 1, 1, q, zeta, primal.size);
     gather_cones(g.row_offset, 1.0, &Given::ConeGroup::offset, g.link_offset, b);
@@ -233,6 +235,7 @@ class Program : public ProgramLayout {
       gather(g.norm_weight, nodes, 1, q, xi, primal.size);
       gather(g.norm_scale, nodes, n, scale, 0, n);
       gather(g.norm_centre, nodes, n, b, trust + 1, cone.size);
+      wait();
       share(packs, Parts{n}, [&](int p, int i) { of_cones(b, p)[trust + 1 + i] *= -scale.of(p, n)[i]; });
     }
   }
@@ -274,10 +277,11 @@ class Program : public ProgramLayout {
   // The same by parts, for who uses them at once: what neighbours have of each other, and then so many parts of a place.
   // Part k calls row(i, entry i of A x), for two rows where it is a link's, or variable(j, entry j of P x, and of A'y).
   JAXSCP_CALLED void begin_times(Packs x, Packs y) const {
-    share(packs, Parts{2 * m}, [&](int p, int k) {
-      if (k < m) carry_.of(p, m)[k] = carried(p, k, x);
-      else multiplier_.of(p, m)[k - m] = link_multiplier(y, p, k - m);
-    });
+    visit(packs, Parts{m}, [&](int p, int k) { carry_.of(p, m)[k] = carried(p, k, x); });
+    begin_transposed(y);
+  }
+  JAXSCP_CALLED void begin_transposed(Packs y) const {
+    share(packs, Parts{m}, [&](int p, int k) { multiplier_.of(p, m)[k] = link_multiplier(y, p, k); });
   }
   Parts products() const { return {constraints() + primal.size}; }
   template <typename Row, typename Variable>
@@ -382,6 +386,7 @@ class Program : public ProgramLayout {
       at += size;
     }
     gather(of_links, nodes + 1, m, to, zero, cone.size);
+    wait();
     share(packs, Parts{m}, [&](int p, int i) {
       Entries v = of_cones(to, p);
       Pack s = soft.of(p, m)[i], link = v[zero + i];

@@ -24,7 +24,7 @@ class Scaling {
   }
 
   JAXSCP_CALLED void set(Packs s, Packs y) {
-    program_.each([&](int p, int i) { at(w, p)[i] = root(at(s, p)[i] / at(y, p)[i]); },
+    program_.each([&](int p, int i) { at(w, p)[i] = root(at(s, p)[i] * inverse(at(y, p)[i])); },
                   [&](int p, int i, int d, int c) {
                     soc::Held point = soc::room(at(w, p) + i, d);
                     soc::scaling(soc::hold(at(s, p) + i, d), soc::hold(at(y, p) + i, d), point,

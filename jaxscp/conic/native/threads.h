@@ -1,5 +1,5 @@
 // Who does what: the threads of a team on a CPU, or of a block on a GPU, solve a program together. Each call is a phase
-// that they share, and all of it is done when it returns.
+// that they share, and all of it is done when it returns; but for ``visit``, after which they are to ``wait``.
 #pragma once
 
 #if defined(__CUDACC__)
@@ -30,6 +30,8 @@ constexpr int kMostWarps = JAXSCP_ALONE / kWarp;
 inline int warps() { return static_cast<int>(blockDim.x) / kWarp; }
 constexpr unsigned kEvery = 0xffffffff;  // lane of the warp
 
+inline void wait() { __syncthreads(); }
+
 inline int lane_of_warp() { return threadIdx.x % kWarp; }
 inline int warp_of_block() { return threadIdx.x / kWarp; }
 // The same, for all lanes together: the compiler then knows it to be the same for all, and what depends on it alone is
@@ -46,7 +48,7 @@ inline void share(int count, Act act) {
 #pragma unroll 1
   for (int first = common_warp() * kWarp; first < count; first += warps() * kWarp)
     if (int i = first + lane_of_warp(); i < count) act(i);
-  __syncthreads();
+  wait();
 }
 
 // place(p, i) = value(p, i) for p < packs and i < count: a thread reads several before it puts any, as none of these has
@@ -66,7 +68,7 @@ inline void fill(int packs, int count, Place place, Value value) {
     for (int k = 0; k < kAtOnce; ++k)
       if (int i = first + k * warps(); i < all) place(at(i), i / rounds) = found[k];
   }
-  __syncthreads();
+  wait();
 }
 
 // Lanes of a warp that work on a cone together: each on every so-manieth of its entries.
@@ -94,7 +96,7 @@ inline void visit(int packs, Parts parts, Act act) {
 template <typename Act>
 inline void share(int packs, Parts parts, Act act) {
   visit(packs, parts, act);
-  __syncthreads();
+  wait();
 }
 
 // What is of a cone and not of each lane.
@@ -105,7 +107,7 @@ template <typename Act>
 inline void share_among_teams(int count, Act act) {
 #pragma unroll 1
   for (int p = common_warp(); p < count; p += warps()) act(p);
-  __syncthreads();
+  wait();
 }
 
 // Within a team, act(i) for i < count.
@@ -119,9 +121,9 @@ inline void in_team(int count, Act act) {
 // What is to be done once: to change what all threads see, who must have seen it as it was.
 template <typename Act>
 inline void once(Act act) {
-  __syncthreads();
+  wait();
   if (threadIdx.x == 0) act();
-  __syncthreads();
+  wait();
 }
 
 // begin[i + 1] becomes the sum of all such up to there, which follow begin[0] = 0.
@@ -161,11 +163,11 @@ inline Found fold(int packs, Parts parts, Found first, Act act) {
     total.join(other);
   }
   if (lane_of_warp() == 0) of_warps[warp_of_block()] = total;
-  __syncthreads();
+  wait();
   total = first;
 #pragma unroll 1
   for (int w = 0; w < warps(); ++w) total.join(of_warps[w]);
-  __syncthreads();
+  wait();
   return total;
 }
 
@@ -191,7 +193,7 @@ inline void share(int count, Act act) {
 }
 
 template <typename Act>
-inline void share(int packs, Parts parts, Act act) {
+inline void visit(int packs, Parts parts, Act act) {
   const int count = parts.count();
   auto [begin, end] = mine(packs * count);
   for (int at = begin; at < end;) {
@@ -199,6 +201,10 @@ inline void share(int packs, Parts parts, Act act) {
     for (int k = at - first; k < last - first; ++k) act(p, k);
     at = last;
   }
+}
+template <typename Act>
+inline void share(int packs, Parts parts, Act act) {
+  visit(packs, parts, act);
   wait();
 }
 
