@@ -96,7 +96,7 @@ class SCP(eqx.Module):
         max_iterations: subproblems allowed.
         substeps: RK4 steps an interval; never fewer than ten, since optimisers exploit the error of four.
         coarsest: relative accuracy of the first subproblem; the next are solved better and better. Zero solves all to
-            the solver's tolerance: half as many Newton steps again and more, for costs within 2e-3 of these.
+            the solver's tolerance, in far more Newton steps, for flights that cost much the same.
         conic: solver of the subproblems, which is told what accuracy is enough and where the solution may be near.
     """
 

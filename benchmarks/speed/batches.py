@@ -50,7 +50,7 @@ def run(echo: Callable[[str], None], nodes: int, lanes: int, total: int) -> dict
         "device": device.device_kind,
         "lanes": lanes,
         "trajectories_per_s": main["trajectories_per_s"],
-        "subproblems_per_s": main["subproblems_per_s"],
+        "subproblems_of_plans_per_s": main["subproblems_per_s"],
         "conic_newton_steps_per_s": main["conic_newton_steps_per_s"],
         "converged_share": best["converged_share"],
         "batch_of_one_ms": 1e3 * rows[1]["seconds"] if 1 in rows else None,
