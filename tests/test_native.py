@@ -118,8 +118,13 @@ def test_every_level_that_runs_here_gives_the_same(at_level):
 
 
 def test_lanes_are_bitwise_those_solved_alone(both):
-    """Batched twice, with one lane of NaN: workers are used again, and must keep nothing of a lane before."""
+    """Batched twice, with one lane of NaN and two of fewer entries: workers are used again, and must keep nothing of a
+    lane before that is not so of the next."""
     programs = [random_program(seed) for seed in range(6)]
+    for lane in (0, 4):
+        after = programs[lane].links.after
+        fewer = after.at[:, :, 0].set(0.0)
+        programs[lane] = eqx.tree_at(lambda p: p.links.after, programs[lane], fewer)
     poisoned = eqx.tree_at(lambda p: p.gradient, programs[2], programs[2].gradient * jnp.nan)
     batch = jax.tree.map(
         lambda *v: jnp.stack(v).reshape(2, 3, *v[0].shape), *programs[:2], poisoned, *programs[3:]
