@@ -100,11 +100,9 @@ inline double __shfl_xor_sync(unsigned, double v, int apart) {
   return exchanged(v, threadIdx.x % emulated::kWarpSize ^ apart);
 }
 inline bool __any_sync(unsigned, bool v) {
-  bool any = false;
-  for (int lane = 0; lane < emulated::kWarpSize; ++lane) any |= exchanged(v, lane) != 0.0;
-  return any;
+  for (int apart = 1; apart < emulated::kWarpSize; apart *= 2) v |= __shfl_xor_sync(0, v, apart) != 0.0;
+  return v;
 }
-inline double rsqrt(double v) { return 1.0 / std::sqrt(v); }
 inline unsigned long long atomicAdd(unsigned long long* at, unsigned long long by) {
   unsigned long long before = *at;
   *at += by;

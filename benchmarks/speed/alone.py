@@ -34,8 +34,10 @@ def run(echo: Callable[[str], None], nodes: int, lanes: int) -> dict[str, Any]:
         rows.append({"seconds": seconds, "steps": int(np.sum(ended.iterations)), "lanes": lanes})
         echo(_line(f"{device.device_kind}, {lanes} at once, subproblem {k + 1}", rows[-1:]))
     echo(_line("all", rows))
-    solved, seconds = (sum(row[key] for row in rows) for key in ("lanes", "seconds"))
-    return {"subproblems_per_s": solved / seconds, "interior_point_alone": rows}
+    return {
+        "subproblems_per_s": _total(rows, "lanes") / _total(rows, "seconds"),
+        "interior_point_alone": rows,
+    }
 
 
 def recorded(method: SCP, nodes: int, flights: int) -> list[Any]:
@@ -66,8 +68,12 @@ def _repeated(v: np.ndarray, lanes: int) -> np.ndarray:
     return np.resize(v, (lanes, *v.shape[1:]))  # runs through the flights again and again
 
 
+def _total(rows: list[dict[str, Any]], key: str) -> float:
+    return sum(row[key] for row in rows)
+
+
 def _line(name: str, rows: list[dict[str, Any]]) -> str:
-    seconds, steps, lanes = (sum(row[key] for row in rows) for key in ("seconds", "steps", "lanes"))
+    seconds, steps, lanes = (_total(rows, key) for key in ("seconds", "steps", "lanes"))
     return (
         f"{name}: {1e3 * seconds:.1f} ms, {steps / lanes:.1f} Newton steps each, {steps / seconds:.0f} of them "
         f"and {lanes / seconds:.0f} subproblems a second"

@@ -69,9 +69,9 @@ class Matrix {
 
   int size() const { return rows * columns; }
 
-  // Takes an entry's numbers at all nodes. Where it is filled and was not in the last program, or the other way round,
-  // the numbers of filled entries are of no use any more.
-  void read(int nodes, int packs, From from, int at) {
+  // Takes an entry's numbers at all nodes. False where it is filled and was not in the last program, or the other way
+  // round: entries are then to be numbered anew, and taken again.
+  bool read(int nodes, int packs, From from, int at) {
     const From::Entry entry = from.entry(at / columns, at % columns);
     const bool known = entries >= 0, was_filled = known && place_[at] != kNone;
     const int e = was_filled ? place_[at] : 0;
@@ -89,8 +89,9 @@ class Matrix {
       for (int k = 0; k < kAtOnce; ++k)
         if (was_filled && first + k < packs) this->at(first + k)[e] = v[k];
     }
-    if (known && filled == was_filled) return;
-    place_[at] = filled ? 0 : kNone, stale = true;
+    if (known && filled == was_filled) return true;
+    place_[at] = filled ? 0 : kNone;
+    return false;
   }
 
   // Numbers the filled entries.
@@ -114,8 +115,8 @@ class Matrix {
   // Which entry of all (i, j) is; negative where it is zero at all nodes.
   int number(int i, int j) const { return place_[i * columns + j]; }
 
-  // act(e, j) for every filled entry of row i: the e-th of all, in column j. Two at a time: more would wait for memory
-  // together, but in a GPU's cache there is room for so much code.
+  // act(e, j) for every filled entry of row i: the e-th of all, in column j. On a GPU two at a time: with more, the code
+  // of all that goes through rows and columns outgrows the instruction cache.
   template <typename Act>
   void each_of_row(int i, Act act) const {
     const int end = near_.row_start[i + 1];
@@ -165,7 +166,6 @@ class Matrix {
 
   int rows, columns;
   int entries = -1;  // that are filled; before any are known, negative
-  bool stale = false;
 
  private:
   static constexpr int kNone = -1;
@@ -208,7 +208,7 @@ class Program : public ProgramLayout {
   Packs soft, scale;
   Packs q, b;
   Given given;  // where it is to be read from
-  bool changed = true;  // whether other entries of its matrices are filled than of the last program's
+  bool changed = false;  // whether other entries of its matrices are filled than of the last program's
 
   Program(const Layout& layout, Arena& arena)
       : ProgramLayout(layout), hessian(n, n, packs, arena), after(m, n, packs, arena), before(m, n, packs, arena),
@@ -218,8 +218,8 @@ class Program : public ProgramLayout {
 
   JAXSCP_CALLED void read() {
     const Given& g = given;
+    once([&] { changed = false; });
     read_matrices();
-    once([&] { changed = hessian.stale || after.stale || before.stale || rows.stale || user.stale; });
     if (changed) {
       Near near;
       each_matrix([&](Matrix& matrix, From) { matrix.enumerate(near); });
@@ -353,10 +353,9 @@ class Program : public ProgramLayout {
   JAXSCP_CALLED void read_matrices() {
     int size = 0;
     each_matrix([&](Matrix& matrix, From) { size += matrix.size(); });
-    once([&] { each_matrix([](Matrix& matrix, From) { matrix.stale = false; }); });
     share(size, [&](int at) {
       each_matrix([&](Matrix& matrix, From from) {
-        if (at >= 0 && at < matrix.size()) matrix.read(nodes, packs, from, at);
+        if (at >= 0 && at < matrix.size() && !matrix.read(nodes, packs, from, at)) changed = true;
         at -= matrix.size();
       });
     });
