@@ -39,6 +39,7 @@ from jaxscp.stationarity import equalities_gradient
 from jaxscp.types import Count, Flag, Scalar
 
 TO_BOUNDARY = 0.99  # share of the way to the cone's boundary that a step may go
+FOLLOWED = 300.0  # times mu: error of the conditions, from which down the path is near enough for mu to fall
 LONGEST = 0.3  # of a variable's typical size, that a step may change it by
 Scalings = tuple["OrthantScaling | second_order.SecondOrderScaling", ...]
 LEAST_SHIFT, GROWTH, MOST_SHIFT = 1e-4, 8.0, 1e4  # of the diagonal where the second-order condition fails
@@ -167,7 +168,7 @@ class Interior(eqx.Module):
         priced, poles, owed = condensed.sides
 
         error = _error(problem, old, here, priced, scale)
-        ready = (error <= 10.0 * old.mu) & (old.mu > self.last)
+        ready = (error <= FOLLOWED * old.mu) & (old.mu > self.last)
         mu = jnp.where(ready, jnp.maximum(self.last, jnp.minimum(0.2 * old.mu, old.mu**1.5)), old.mu)
 
         factor, shift = _definite(newton_chain(problem, here, condensed, scale), old.shift)

@@ -58,6 +58,7 @@ SLACK = (100.0, 1.0)  # times the tolerances, at which the interior point is tri
 MEMORY = 5  # accepted points whose worst merit a new one must beat
 EXACT_BELOW = 1e-3  # proximal weight from which on curvature is condensed
 EXACT_PROXIMAL = 0.02  # proximal weight to begin that with
+TIGHTER = 0.1  # times as accurate, from a subproblem to the next
 ROUNDING = 1e-7  # of the cost: what subproblems of this accuracy leave unsure
 LEAST_PROXIMAL, MOST_PROXIMAL = 1e-5, 1e4
 
@@ -104,6 +105,8 @@ class NewtonSCP(eqx.Module):
             of a constraint at its points; what is left is closed at the end.
         tolerance_gradient: residual of the optimality conditions (``stationarity``) of a converged iterate.
         max_iterations: subproblems allowed.
+        coarsest: relative accuracy of the first subproblem; each is solved ten times better than the one before, down
+            to the solver's tolerance. Zero solves all to that, in more Newton steps.
         proximal: first weight of the squared (scaled) step.
         virtual_weight: price of virtual control.
         merit_weight: of squared residuals in the augmented Lagrangian; the multipliers do most of its work.
@@ -124,6 +127,7 @@ class NewtonSCP(eqx.Module):
     tolerance_defect: float = 5e-3
     tolerance_gradient: float = 0.1
     max_iterations: int = eqx.field(default=60, static=True)
+    coarsest: float = 1e-2
     proximal: float = 0.1
     virtual_weight: float = 1000.0
     merit_weight: float = 10.0
@@ -193,7 +197,8 @@ class NewtonSCP(eqx.Module):
         program = lifted_program(problem, state.z, state.linear, hessian, gradient, self.virtual_weight)
         near = Near(jnp.zeros_like(program.gradient), state.prices, state.iterations > 0)
         # a lane that has ended fills up a batch, and asks for nothing
-        solution = self.conic(program, jnp.where(self.terminate(state), jnp.inf, 0.0), near)
+        accuracy = jnp.where(self.terminate(state), jnp.inf, self.accuracy(state))
+        solution = self.conic(program, accuracy, near)
 
         multipliers = flight_multipliers(problem, state.linear, solution.multipliers)
         move = node_step(problem, solution.z)
@@ -241,7 +246,8 @@ class NewtonSCP(eqx.Module):
         small = jnp.abs(gain) / (self.tolerance * jnp.maximum(1.0, jnp.abs(now.cost)))
         gradient = lagrangian_gradient(problem, candidate, linear, multipliers)
         flat = stationarity(gradient, candidate, now.cost) / self.tolerance_gradient
-        worst = jnp.maximum(jnp.max(lacks), jnp.maximum(small, flat))  # in tolerances
+        rough = accuracy / self.tolerance  # what a coarse subproblem leaves unsure
+        worst = jnp.max(jnp.stack([*lacks, small, flat, rough]))  # in tolerances
         settling = accept & (state.proximal <= EXACT_PROXIMAL)
         optimal, near = settling & (worst <= 1.0), settling & (worst <= slack)
         stuck = proximal > MOST_PROXIMAL
@@ -277,6 +283,10 @@ class NewtonSCP(eqx.Module):
             done=near | stuck,
             history=jax.tree.map(lambda h, v: h.at[state.iterations].set(v), state.history, row),
         )
+
+    def accuracy(self, state: NewtonState) -> Scalar:
+        """Relative accuracy that the next subproblem is worth: early ones are of a model that is soon another."""
+        return self.coarsest * TIGHTER ** state.iterations.astype(state.cost.dtype)
 
     def terminate(self, state: NewtonState) -> Flag:
         """Whether the loop is over."""

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from benchmarks.rivals.convert import as_arrays
-from jaxscp import NewtonSCP, Planner, acceptable, scenarios, status_names
+from jaxscp import NewtonSCP, Planner, Status, acceptable, scenarios, status_names
 from jaxscp.certificate import OPTIMALITY
+from jaxscp.compiler import options
+from jaxscp.newton import SLACK
 from tests.flights import random_nodes, short_problem
 
 MISSIONS = {"platform": scenarios.platform_to_platform, "ascend": scenarios.ascent_to_platform}
@@ -51,6 +53,45 @@ def test_lanes_end_as_they_do_alone():
         alone = planner(make(masses[lane]))
         np.testing.assert_allclose(batch.cost[lane], alone.cost, rtol=SAME_COST)
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(batch))
+
+
+def by_coarsest(act):
+    """A function of NewtonSCP with that accuracy of the first subproblem, and of more; compiled once."""
+
+    def function(coarsest, *more):
+        return act(eqx.tree_at(lambda method: method.coarsest, NewtonSCP(), coarsest), *more)
+
+    return jax.jit(function, compiler_options=options())
+
+
+@pytest.fixture(scope="module")
+def ascent():
+    """Problem and guess."""
+    setup = jax.jit(Planner(nodes=20).setup, compiler_options=options())
+    return setup(scenarios.ascent_to_platform())[:2]
+
+
+def test_coarse_subproblems_lead_to_an_optimum_of_the_same_cost(ascent):
+    run = by_coarsest(lambda method: method.run(*ascent))
+    coarse, exact = run(NewtonSCP().coarsest), run(0.0)
+    assert bool(coarse.reached)
+    assert bool(exact.reached)
+    steps = [int(state.history.conic_iterations.sum()) for state in (coarse, exact)]
+    assert steps[0] < 0.9 * steps[1]
+    np.testing.assert_allclose(coarse.cost, exact.cost, rtol=SAME_COST)
+
+
+def test_no_iterations_end_by_a_coarse_subproblem(ascent):
+    """Where nothing is asked for, nothing moves, which says nothing of the point."""
+    problem, z = ascent
+    step = by_coarsest(lambda method, state: method.step(problem, state, SLACK[0]))
+    state = jax.jit(NewtonSCP().init)(problem, z)
+    while not bool(state.near):
+        state = step(NewtonSCP().coarsest, state)
+    idle = step(1e9, state)
+    assert int(idle.history.conic_iterations[state.iterations]) == 0
+    assert not bool(idle.near)
+    assert bool(idle.status != Status.converged)
 
 
 def test_a_problem_that_carries_its_cost_as_a_state_is_refused():
