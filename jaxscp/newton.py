@@ -3,10 +3,7 @@
 Each iteration poses the subproblem with the curvature of the Lagrangian made convex (``curvature``), a quadratic
 proximal term, and the path constraints at points inside every interval (``intervals``); corrects the step to
 second order (``correction``); and takes it if an augmented Lagrangian falls below the worst of the last few
-(``lagrangian``). The proximal weight follows how well the model foretold the merit.
-
-Far from the optimum curvature is projected block by block, which keeps steps short and safe; once the proximal
-weight has fallen, it is condensed along the chain, which is exact at the end.
+(``lagrangian``). The proximal weight follows how well the model (``model``) foretold the merit.
 """
 
 import equinox as eqx
@@ -16,36 +13,35 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from jaxscp import lanes
-from jaxscp.active_set import active_set, near_limits, nearest_dilation_limit, slacks
+from jaxscp.active_set import active_set, near_limits, slacks
 from jaxscp.central_path import Point
 from jaxscp.conic.interior_point import InteriorPoint
 from jaxscp.conic.program import ConicSolver, Multipliers, Near
 from jaxscp.convexify import terminal_cost
-from jaxscp.correction import HOLD, corrected, correction
-from jaxscp.curvature import Chain, Convex, condensed, projected
-from jaxscp.discretise import interval_inputs
+from jaxscp.correction import corrected, correction
+from jaxscp.curvature import projected
 from jaxscp.expansion import expand
 from jaxscp.history import History
 from jaxscp.interior import Interior
 from jaxscp.intervals import Grid, Linearisation, evaluate, linearise
-from jaxscp.lagrangian import Residual, no_multipliers, residual, worst_violation
+from jaxscp.lagrangian import no_multipliers, residual, worst_violation
+from jaxscp.lifted import check as check_liftable
 from jaxscp.lifted import (
-    buffered,
     cost_gradient,
     flight_multipliers,
     lifted_program,
     node_step,
     stage_sizes,
 )
-from jaxscp.lifted import check as check_liftable
 from jaxscp.line_search import Merit, Step, search
-from jaxscp.multipliers import FlightMultipliers
+from jaxscp.model import convex_model, foretold, scaled_hessian
+from jaxscp.newton_state import NewtonState
 from jaxscp.problem import OptimalControlProblem, node_times, typical_sizes
 from jaxscp.reflown import reflown_gradient
 from jaxscp.scp import Answer, End
 from jaxscp.sensitivity import follow
 from jaxscp.stationarity import lagrangian_gradient, stationarity
-from jaxscp.status import Status, StatusCode, usable
+from jaxscp.status import Status, usable
 from jaxscp.types import Count, Flag, Scalar
 
 SHORTENED = (
@@ -61,39 +57,6 @@ EXACT_PROXIMAL = 0.02  # proximal weight to begin that with
 TIGHTER = 0.1  # times as accurate, from a subproblem to the next
 ROUNDING = 1e-7  # of the cost: what subproblems of this accuracy leave unsure
 LEAST_PROXIMAL, MOST_PROXIMAL = 1e-5, 1e4
-
-
-class NewtonState(eqx.Module):
-    """State of the loop."""
-
-    z: Float[Array, "nodes variables"]
-    """The reference: the last accepted iterate."""
-    linear: Linearisation
-    """Its intervals."""
-    curvature: Float[Array, "intervals inputs inputs"]
-    """Second derivatives of the Lagrangian there: kept, because the step after a refused one asks for them again."""
-    multipliers: FlightMultipliers
-    """Of the subproblem that led to it, of the flight's constraints."""
-    prices: Multipliers
-    """Of its rows."""
-    past: Residual
-    """The last accepted points, newest first."""
-    proximal: Scalar
-    exact: Flag
-    """Whether curvature is condensed by now."""
-    scale: Float[Array, "variables"]
-    """Typical sizes of a node's variables: the largest of the iterates so far, at least one."""
-    cost: Scalar
-    iterations: Count
-    near: Flag
-    """Whether the optimum is near enough for the interior point."""
-    reached: Flag
-    """Whether the point is the optimum itself, and the multipliers its own."""
-    newton_steps: Count
-    """Of the interior point."""
-    status: StatusCode
-    done: Flag
-    history: History
 
 
 class NewtonSCP(eqx.Module):
@@ -192,8 +155,8 @@ class NewtonSCP(eqx.Module):
         are met, the loop may end."""
         scale = stage_sizes(problem, state.scale)
         now = jax.tree.map(lambda v: v[0], state.past)
-        clipped = projected(_scaled(state.curvature, scale))
-        hessian, gradient = _model(problem, state, now, clipped, scale)
+        clipped = projected(scaled_hessian(state.curvature, scale))
+        hessian, gradient = convex_model(problem, state, now, clipped, scale)
         program = lifted_program(problem, state.z, state.linear, hessian, gradient, self.virtual_weight)
         near = Near(jnp.zeros_like(program.gradient), state.prices, state.iterations > 0)
         # a lane that has ended fills up a batch, and asks for nothing
@@ -205,10 +168,10 @@ class NewtonSCP(eqx.Module):
         held = active_set(problem, state.linear, multipliers, scale)
         virtual = program.virtual_control(solution.z)[1:-1, : problem.state_size]
         slope = jnp.vdot(cost_gradient(problem, state.z, state.linear), solution.z[:, : scale.shape[0]])
-        foretold = _foretold(problem, now, slope, state.curvature, solution.z, move, virtual)
+        expected = foretold(problem, now, slope, state.curvature, solution.z, move, virtual)
 
         judge = Merit(problem, multipliers, self.merit_weight, state.scale[: problem.state_size])
-        gain = judge(now) - judge(foretold)
+        gain = judge(now) - judge(expected)
         settled = jnp.abs(gain) <= ROUNDING * (1.0 + jnp.abs(now.cost))
         step = Step(
             z=state.z,
@@ -358,10 +321,6 @@ class NewtonSCP(eqx.Module):
         return eqx.tree_at(lambda s: (s.z, s.linear, s.cost), state, (z, linear, now.cost))
 
 
-def _scaled(hessian: Float[Array, "*b n n"], scale: Float[Array, "n"]) -> Float[Array, "*b n n"]:
-    return hessian * scale * scale[:, None]
-
-
 def _no_prices(
     problem: OptimalControlProblem, z: Float[Array, "nodes variables"], linear: Linearisation
 ) -> Multipliers:
@@ -374,75 +333,6 @@ def _no_prices(
         like(inputs),
     )
     return Multipliers.zeros(program)
-
-
-def _model(
-    problem: OptimalControlProblem,
-    state: NewtonState,
-    now: Residual,
-    clipped: Convex,
-    scale: Float[Array, "inputs"],
-):
-    """Hessian and extra gradient of every stage, in the variables' own units."""
-    stage, inputs = problem.variables, scale.shape[0]
-    own = (jnp.arange(inputs) < stage).astype(scale.dtype)  # the proximal term counts each node once
-    near = state.proximal * jnp.diag(own)
-    plain = Model(
-        hessian=jnp.pad(clipped.hessian, ((0, 1), (0, 0), (0, 0))) + near,
-        gradient=jnp.zeros((problem.nodes, inputs), scale.dtype),
-    )
-    model = lanes.where_needed(
-        state.exact, lambda fixed, _: _exact(*fixed), (problem, state, now, scale), plain
-    )
-    hessian = model.hessian.at[-1].add(jnp.diag(1.0 - own))  # the last stage's third part is idle
-    return hessian / scale / scale[:, None], model.gradient / scale
-
-
-class Model(eqx.Module):
-    """A convex quadratic for every stage, in scaled units."""
-
-    hessian: Float[Array, "nodes inputs inputs"]
-    gradient: Float[Array, "nodes inputs"]
-
-
-def _exact(
-    problem: OptimalControlProblem, state: NewtonState, now: Residual, scale: Float[Array, "inputs"]
-) -> Model:
-    """Condensed along the chain, with the constraints held that the last subproblem found active."""
-    n, stage = problem.state_size, problem.variables
-    inputs = scale.shape[0]
-    active = active_set(problem, state.linear, state.multipliers, scale)
-    near = state.proximal * jnp.diag((jnp.arange(inputs) < stage).astype(scale.dtype))
-    at_limit = HOLD * active.dilation[:, None] * jnp.eye(inputs, dtype=scale.dtype)[stage - 1]
-    beyond = (state.z[:, -1] - nearest_dilation_limit(problem, state.z[:, -1])) / scale[stage - 1]
-
-    held = _scaled(state.curvature, scale) + HOLD * active.curvature() + jax.vmap(jnp.diag)(at_limit[:-1])
-    ends = state.linear.final.jacobian * scale[:n]
-    final = jnp.diag(
-        at_limit[-1, :stage] + 0.5 * state.proximal * (jnp.arange(stage) >= n).astype(scale.dtype)
-    )
-    final = final.at[:n, :n].add(HOLD * ends.T @ ends)
-    chain = Chain(state.linear.jacobian.end * scale / scale[:n, None], now.defect / scale[:n])
-    convex = condensed(held + 0.5 * near, chain, final)
-    pull = HOLD * active.pull(slacks(problem, state.linear.outputs)) + convex.gradient
-    return Model(
-        hessian=jnp.pad(convex.hessian, ((0, 1), (0, 0), (0, 0))) + 0.5 * near,
-        gradient=jnp.pad(pull, ((0, 1), (0, 0))) + at_limit * beyond[:, None],
-    )
-
-
-def _foretold(
-    problem: OptimalControlProblem, now: Residual, slope, hessian, stages, move, virtual
-) -> Residual:
-    """What the model makes of the point that a step leads to: feasible but for virtual control and buffer."""
-    w = interval_inputs(problem, move)
-    cost = now.cost + slope + 0.5 * jnp.einsum("iw,iwv,iv->", w, hessian, w)
-    lack = -stages[:-1, -1:, None] if buffered(problem) else jnp.zeros(())
-    values = tuple(
-        jnp.broadcast_to(jnp.zeros(()) if c.convex else lack, v.shape)
-        for c, v in zip(problem.constraints, now.values, strict=True)
-    )
-    return Residual(cost, virtual, values)
 
 
 def _adapted(state: NewtonState, ratio: Scalar, accept: Flag, chosen: Count):
