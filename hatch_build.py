@@ -11,13 +11,13 @@ from pathlib import Path
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
-SHARED = Path("jaxscp/libraries")
+SHARED = Path("jaxscp/backends/native")
 LIBRARIES = {  # with what is compiled for a level of the instruction set, and what for any
     Path("jaxscp/conic/native/interior_point"): (("handler",), ("gpu_handler",)),
-    Path("jaxscp/normal/native/normal"): (("handler",), ()),
-    Path("jaxscp/riccati/native/riccati"): (("handler",), ()),
-    Path("jaxscp/semidefinite/native/semidefinite"): (("handler",), ()),
-    Path("jaxscp/sweeps/native/sweep"): (("handler",), ("gpu_handler",)),
+    Path("jaxscp/linalg/gram/native/normal"): (("handler",), ()),
+    Path("jaxscp/linalg/riccati/native/riccati"): (("handler",), ()),
+    Path("jaxscp/linalg/eigen/native/semidefinite"): (("handler",), ()),
+    Path("jaxscp/integration/native/sweep"): (("handler",), ("gpu_handler",)),
 }
 X86 = {
     "v4": ("-march=x86-64-v4", "-mprefer-vector-width=512"),

@@ -22,27 +22,16 @@ import numpy as np
 from jaxtyping import Array, Bool, ScalarLike
 from scipy.spatial import KDTree
 
-from jaxscp import LandingScenario, Planner, at_rest, maps, status_names
-from jaxscp.corridor import (
-    CorridorResult,
-    Decomposition,
-    EllipsoidDecomposition,
-    InflationFIRI,
-    NoRoute,
-    Polytope,
-    build_corridor,
-    chain,
-    find_route,
-    pad,
-    read_cloud,
-)
+from jaxscp import LandingScenario, Planner, at_rest, status_names
+from jaxscp.corridor import synthetic_maps
+from jaxscp.corridor import CorridorResult, Decomposition, EllipsoidDecomposition, InflationFIRI, NoRoute, Polytope, build_corridor, chain, find_route, pad, read_cloud
 from jaxscp.corridor.build import legs
 from jaxscp.corridor.cells import cells_along, consecutive_overlaps
 from jaxscp.corridor.decompose import Seed
 from jaxscp.corridor.ellipsoids import Columns, around_segment
 from jaxscp.corridor.halfspaces import Cuts, cut_away
 from jaxscp.corridor.shapes import needed_faces, volume
-from jaxscp.scenarios import through
+from jaxscp.landing.scenarios import through
 
 RADIUS = 0.25
 CLEARANCE = 0.1
@@ -77,13 +66,13 @@ METHODS: dict[str, Decomposition] = {
 PUBLISHED = PublishedShrinking()
 
 
-def random_maps(count: int) -> Iterator[maps.Map]:
-    kinds = list(maps.KINDS.values())
+def random_maps(count: int) -> Iterator[synthetic_maps.Map]:
+    kinds = list(synthetic_maps.KINDS.values())
     for seed in range(count):
         yield kinds[seed % len(kinds)](seed // len(kinds))
 
 
-def real_maps(folder: Path, pairs: int = 12) -> Iterator[maps.Map]:
+def real_maps(folder: Path, pairs: int = 12) -> Iterator[synthetic_maps.Map]:
     """Every cloud and mesh of a folder, with pairs of clear places at flying height, picked by seed."""
     for path in sorted(folder.glob("*")):
         if path.suffix.lower() not in (".pcd", ".ply", ".xyz", ".npy", ".stl", ".obj"):
@@ -95,10 +84,10 @@ def real_maps(folder: Path, pairs: int = 12) -> Iterator[maps.Map]:
         places = rng.uniform(low, np.minimum(high, [np.inf, np.inf, low[2] + 4.0]), size=(2000, 3))
         clear = places[np.asarray(tree.query(places)[0]) > 0.6]
         for pair in range(pairs):
-            yield maps.Map(path.name, cloud, low, high, clear[2 * pair], clear[2 * pair + 1])
+            yield synthetic_maps.Map(path.name, cloud, low, high, clear[2 * pair], clear[2 * pair + 1])
 
 
-def points_inside(result: CorridorResult, place: maps.Map) -> int:
+def points_inside(result: CorridorResult, place: synthetic_maps.Map) -> int:
     """Points of the cloud as given that lie strictly inside a polytope."""
     assert result.corridor is not None
     cells = zip(result.corridor.normals, result.corridor.offsets, strict=True)
@@ -113,7 +102,7 @@ def seeds_outside(result: CorridorResult) -> int:
     return int(np.sum(gaps.min(axis=(1, 2)) < -ROUNDING))
 
 
-def safety(places: list[maps.Map], lanes: int) -> dict:
+def safety(places: list[synthetic_maps.Map], lanes: int) -> dict:
     """Build a corridor in every map by the default method, and check it against the cloud as given; then plan through
     it, ``lanes`` at once (none: no plans)."""
     found = narrow = unresolved = no_route = crashed = inside = cut = polytopes = 0
@@ -187,7 +176,7 @@ def plan_statuses(scenarios: list[LandingScenario], lanes: int) -> dict[str, int
     return dict(statuses)
 
 
-def sizes(places: list[maps.Map]) -> dict:
+def sizes(places: list[synthetic_maps.Map]) -> dict:
     """Volume and faces of each method on the same legs, beside the published shrinking."""
     volumes: dict[str, list[float]] = {name: [] for name in ("published", *METHODS)}
     faces: dict[str, list[int]] = {name: [] for name in volumes}
@@ -231,7 +220,7 @@ def sizes(places: list[maps.Map]) -> dict:
 
 def twelve_legs(points: int = 50_000):
     """A forest of a given number of points, and a route of twelve legs through it."""
-    place = maps.forest(7, spacing=0.1)
+    place = synthetic_maps.forest(7, spacing=0.1)
     rng = np.random.default_rng(0)
     cloud = place.cloud.thinned(0.05)
     chosen = np.sort(rng.choice(cloud.count, points, replace=False))
@@ -270,7 +259,7 @@ def milliseconds(repeats: int = 30) -> dict:
 
 def batched(count: int, repeats: int = 5) -> dict:
     """Time for a chain of eight polytopes in each of many maps at once, on the default device."""
-    places = [maps.pillars(seed) for seed in range(count)]
+    places = [synthetic_maps.pillars(seed) for seed in range(count)]
     most = max(place.cloud.count for place in places)
     points = np.zeros((count, most, 3))
     present = np.zeros((count, most), bool)
@@ -299,7 +288,7 @@ def batched(count: int, repeats: int = 5) -> dict:
     return report
 
 
-def _eight_legs(place: maps.Map) -> np.ndarray:
+def _eight_legs(place: synthetic_maps.Map) -> np.ndarray:
     """The first eight legs of the route, its longest leg halved until there are as many."""
     route = find_route(place.cloud, place.start, place.goal, RADIUS, lower=place.lower, upper=place.upper)
     points = list(np.stack([place.start, place.goal]) if isinstance(route, NoRoute) else route.points)

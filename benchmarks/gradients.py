@@ -30,14 +30,14 @@ import numpy as np  # noqa: E402
 import jaxscp  # noqa: E402
 from benchmarks.speed.timing import elapsed, median_seconds  # noqa: E402
 from jaxscp import LandingScenario, scenarios  # noqa: E402
-from jaxscp.central_path import MU, Point  # noqa: E402
-from jaxscp.convexify import terminal_cost  # noqa: E402
-from jaxscp.interior import Interior  # noqa: E402
-from jaxscp.intervals import evaluate  # noqa: E402
-from jaxscp.landing import landing_problem  # noqa: E402
-from jaxscp.problem import node_times  # noqa: E402
-from jaxscp.sensitivity import follow  # noqa: E402
-from tests.random_instances import bare, random_instances  # noqa: E402
+from jaxscp.nlp.central_path import MU, Point  # noqa: E402
+from jaxscp.problem.problem import terminal_cost  # noqa: E402
+from jaxscp.nlp.interior_point import Interior  # noqa: E402
+from jaxscp.transcription.shooting import evaluate  # noqa: E402
+from jaxscp.landing.problem import landing_problem  # noqa: E402
+from jaxscp.problem.problem import node_times  # noqa: E402
+from jaxscp.nlp.sensitivity import follow  # noqa: E402
+from tests.support.random_instances import bare, random_instances  # noqa: E402
 
 NODES = 30
 STEPS = (1e-5, 1e-6, 1e-7, 2e-8)  # of a leaf's size; a goal on a floor has a micrometre of room

@@ -36,7 +36,7 @@ from benchmarks.rivals.optimum import Extras, Optimum, Start, best  # noqa: E402
 from benchmarks.rivals.problem import LandingArrays  # noqa: E402
 from jaxscp import LandingScenario, scenarios, status_names  # noqa: E402
 from jaxscp.corridor.polytopes import Corridor, box, connect  # noqa: E402
-from tests.random_instances import PRICES, bare, random_instances  # noqa: E402
+from tests.support.random_instances import PRICES, bare, random_instances  # noqa: E402
 
 NODES = 30
 PERCENT = {"share_within_0.1_percent": 1e-3, "share_within_1_percent": 1e-2}

@@ -25,16 +25,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxscp import SCP, NormTrustRegion, ProximalTrustRegion, scenarios, status_names
-from jaxscp.allocation import allocate
+from jaxscp.landing.allocation import allocate
 from jaxscp.conic import OSQP, ConicSolution, StagedProgram, export
 from jaxscp.conic.interior_point import InteriorPoint
 from jaxscp.conic.osqp import status_of
 from jaxscp.conic.quadratic import QuadraticProgram
-from jaxscp.convexify import convexify
-from jaxscp.initial_guess import Units, guess_program, guess_time, initial_guess
-from jaxscp.landing import landing_problem
-from jaxscp.mission import LandingScenario
-from jaxscp.problem import OptimalControlProblem
+from jaxscp.scp.nodal_subproblem import convexify
+from jaxscp.landing.guess import Units, guess_program, guess_time, initial_guess
+from jaxscp.landing.problem import landing_problem
+from jaxscp.landing.scenario import LandingScenario
+from jaxscp.problem.problem import OptimalControlProblem
 
 NODES = 30
 MISSIONS = {"platform": scenarios.platform_to_platform, "ascend": scenarios.ascent_to_platform}

@@ -18,7 +18,7 @@ import numpy as np  # noqa: E402
 
 import jaxscp  # noqa: E402
 from jaxscp import LandingScenario, scenarios, status_names  # noqa: E402
-from tests.random_instances import PRICES, bare, random_instances  # noqa: E402
+from tests.support.random_instances import PRICES, bare, random_instances  # noqa: E402
 
 NODES = 30
 TOO_SHORT = 0.6  # s: at full thrust, and falling freely, no instance gets as far as its goal

@@ -19,16 +19,16 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from jaxscp import scenarios
-from jaxscp.caching import use_cache
-from jaxscp.convexify import NormTrustRegion, ProximalTrustRegion
+from jaxscp.aot.cache_folder import use_cache
+from jaxscp.core.status import Status, status_names
 from jaxscp.corridor import CorridorResult, PointCloud, box, build_corridor, read_cloud
-from jaxscp.mission import LandingScenario, at_rest
-from jaxscp.planner import Planner
-from jaxscp.scp import SCP
-from jaxscp.solution import Solution
-from jaxscp.status import Status, status_names
-from jaxscp.validation import InvalidScenario, validate
+from jaxscp.landing import scenarios
+from jaxscp.landing.scenario import LandingScenario, at_rest
+from jaxscp.landing.validation import InvalidScenario, validate
+from jaxscp.planner.planner import Planner
+from jaxscp.scp.nodal_subproblem import NormTrustRegion, ProximalTrustRegion
+from jaxscp.scp.ptr import SCP
+from jaxscp.solver.solution import Solution
 
 CASES: dict[str, Callable[[], LandingScenario]] = {
     "platform": scenarios.platform_to_platform,

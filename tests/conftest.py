@@ -15,7 +15,7 @@ MOST_MAPPINGS = 20_000
 dies."""
 
 
-from jaxscp import libraries  # noqa: E402, with its annotations checked
+from jaxscp.backends import libraries  # noqa: E402, with its annotations checked
 
 
 @pytest.fixture(params=libraries.LEVELS)

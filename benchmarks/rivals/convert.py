@@ -10,26 +10,17 @@ from jaxtyping import Array, Float
 from scipy.integrate import simpson
 
 from benchmarks.rivals.problem import Flags, Floats, LandingArrays, extended_controls
-from jaxscp.allocation import allocate
-from jaxscp.constraints import (
-    Constraint,
-    HalfSpaces,
-    LandingCone,
-    Limits,
-    NonNegative,
-    SecondOrder,
-    inside_half_spaces,
-    inside_landing_cone,
-    repeat_over_nodes,
-    within_control_limits,
-)
-from jaxscp.convexify import PAPER_NODES, NormTrustRegion
-from jaxscp.dynamics import RigidBody
-from jaxscp.initial_guess import initial_guess
-from jaxscp.landing import effort, flight_time, landing_problem
-from jaxscp.mission import LandingScenario, Weights
-from jaxscp.problem import Boundary, FixedComponents, OptimalControlProblem, fixed_components
-from jaxscp.scp import SCP
+from jaxscp.landing.allocation import allocate
+from jaxscp.problem.constraint import Constraint, repeat_over_nodes
+from jaxscp.landing.constraints import HalfSpaces, LandingCone, Limits, inside_half_spaces, inside_landing_cone, within_control_limits
+from jaxscp.cones.cone import NonNegative, SecondOrder
+from jaxscp.scp.nodal_subproblem import PAPER_NODES, NormTrustRegion
+from jaxscp.dynamics.rigid_body import RigidBody
+from jaxscp.landing.guess import initial_guess
+from jaxscp.landing.problem import effort, flight_time, landing_problem
+from jaxscp.landing.scenario import LandingScenario, Weights
+from jaxscp.problem.problem import Boundary, FixedComponents, OptimalControlProblem, fixed_components
+from jaxscp.scp.ptr import SCP
 
 
 def as_problem(arrays: LandingArrays) -> tuple[OptimalControlProblem, Float[Array, "nodes variables"]]:

@@ -15,7 +15,7 @@ from benchmarks.speed.batches import REPEATS, instances
 from benchmarks.speed.timing import elapsed
 from jaxscp import SCP, Planner
 from jaxscp.conic.program import Near
-from jaxscp.convexify import convexify
+from jaxscp.scp.nodal_subproblem import convexify
 
 FLIGHTS = 64  # distinct ones; more lanes have the same again
 SUBPROBLEMS = 5  # of a plan

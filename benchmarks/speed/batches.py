@@ -15,8 +15,8 @@ import numpy as np
 from benchmarks.speed.scaling import memory
 from benchmarks.speed.timing import elapsed
 from jaxscp import SCP, LandingScenario, Planner, Solution, Status
-from jaxscp.scenarios import platform_to_platform
-from tests.random_instances import bare, random_instances
+from jaxscp.landing.scenarios import platform_to_platform
+from tests.support.random_instances import bare, random_instances
 
 REPEATS = 3  # of a batch, of which the least time counts
 WALLS = 0.15  # m by which walls of the corridor may stand back

@@ -10,7 +10,8 @@ import numpy as np
 
 from benchmarks.speed.apart import Apart, in_turns
 from benchmarks.speed.timing import elapsed
-from jaxscp import SCP, NewtonSCP, Planner, libraries, scenarios
+from jaxscp import SCP, NewtonSCP, Planner, scenarios
+from jaxscp.backends import libraries
 from jaxscp.conic import native
 
 METHODS = {"paper": SCP, "default": NewtonSCP}

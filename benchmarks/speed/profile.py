@@ -17,25 +17,29 @@ import numpy as np
 
 from benchmarks.speed.arithmetic import flops, flops_of_loop
 from benchmarks.speed.timing import Ceiling, Loop, ceiling, least_seconds
-from jaxscp import SCP, LandingScenario, NewtonSCP, Planner, riccati
-from jaxscp.active_set import active_set, slacks
-from jaxscp.certificate import certify
-from jaxscp.conic import cones, kkt, native
+from jaxscp import SCP, LandingScenario, NewtonSCP, Planner
+from jaxscp.linalg import riccati
+from jaxscp.scp.active_set import active_set, slacks
+from jaxscp.verification.certificate import certify
+from jaxscp.cones import product
+from jaxscp.conic import kkt, native
 from jaxscp.conic.equilibrate import equilibrate
-from jaxscp.convexify import convexify, terminal_cost
-from jaxscp.correction import corrected, correction
-from jaxscp.curvature import Chain, condensed, projected
-from jaxscp.discretise import discretise
-from jaxscp.expansion import expand
-from jaxscp.interior import local, newton_chain, scaled, scalings, weighed
-from jaxscp.intervals import evaluate
-from jaxscp.lagrangian import residual
-from jaxscp.lifted import lifted_program, stage_sizes
-from jaxscp.planner import trajectory_of
-from jaxscp.problem import typical_sizes
-from jaxscp.scenarios import platform_to_platform
-from jaxscp.solution import Solution
-from jaxscp.validation import validate
+from jaxscp.scp.nodal_subproblem import convexify
+from jaxscp.problem.problem import terminal_cost
+from jaxscp.scp.second_order_correction import corrected, correction
+from jaxscp.scp.hessian_convexification import Chain, condensed, projected
+from jaxscp.transcription.discretise import discretise
+from jaxscp.transcription.shooting import expand
+from jaxscp.nlp.newton_system import local, newton_chain, scaled, scalings, weighed
+from jaxscp.transcription.shooting import evaluate
+from jaxscp.transcription.lagrangian import residual
+from jaxscp.scp.subproblem import lifted_program
+from jaxscp.transcription.layout import stage_sizes
+from jaxscp.transcription.layout import trajectory_of
+from jaxscp.problem.problem import typical_sizes
+from jaxscp.landing.scenarios import platform_to_platform
+from jaxscp.solver.solution import Solution
+from jaxscp.landing.validation import validate
 
 Echo = Callable[[str], None]
 
@@ -158,8 +162,8 @@ def _conic_pieces(pieces: Pieces, conic: Any, program: Any, count: int, steps: i
     scaled_program, _ = pieces.time(
         "equilibrate", count, lambda p: equilibrate(p, conic.equilibration), program, inside=True
     )
-    unit = cones.identity(kkt.right_side(scaled_program))
-    scaling = cones.scaling(unit, unit)
+    unit = product.identity(kkt.right_side(scaled_program))
+    scaling = product.scaling(unit, unit)
 
     def factorise(program, scaling):
         return kkt.factorise(program, scaling, conic.regularisation)
@@ -176,7 +180,7 @@ def _conic_pieces(pieces: Pieces, conic: Any, program: Any, count: int, steps: i
     two = jax.tree.map(lambda v: jnp.stack([v, 2.0 * v]), right)
     inside("back-solve of predictor, two sides", steps, solve_both, scaled_program, scaling, factor, *two)
     inside("back-solve of corrector", steps, solve, scaled_program, scaling, factor, *right)
-    inside("step to the boundary", 2 * steps, cones.longest_step, unit, right[1])
+    inside("step to the boundary", 2 * steps, product.longest_step, unit, right[1])
 
 
 def _default_pieces(pieces: Pieces, method: NewtonSCP, problem: Any, z: Any, solution: Solution) -> None:

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 
 from benchmarks.speed.timing import least_in_turns
 from jaxscp import SCP, LandingScenario, Planner
-from jaxscp.problem import OptimalControlProblem
-from jaxscp.scenarios import platform_to_platform
+from jaxscp.problem.problem import OptimalControlProblem
+from jaxscp.landing.scenarios import platform_to_platform
 
 NODES, FACES = (15, 30, 60, 120, 240), (6, 12, 18, 24)
 STANDARD, TURNS = 30, 12  # nodes; times that each size is solved

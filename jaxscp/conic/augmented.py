@@ -18,13 +18,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxscp.conic import block_tridiagonal, kkt
-from jaxscp.conic.batched import gram
-from jaxscp.conic.cones import ConeVector, tree_axpy, tree_max
+from jaxscp.cones.product import ConeVector
+from jaxscp.conic import kkt
 from jaxscp.conic.kkt import Primal
 from jaxscp.conic.program import StagedProgram
 from jaxscp.conic.smoothing import Pair, Spectrum, act
-from jaxscp.types import Scalar
+from jaxscp.core.trees import tree_axpy, tree_max
+from jaxscp.core.types import Scalar
+from jaxscp.linalg import block_tridiagonal
+from jaxscp.linalg.batched import gram
 
 Unknowns = tuple[Primal, ConeVector]
 

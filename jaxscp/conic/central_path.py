@@ -14,13 +14,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
+from jaxscp.cones.product import ConeVector
 from jaxscp.conic import kkt
 from jaxscp.conic.augmented import System, factorise
-from jaxscp.conic.cones import ConeVector, tree_axpy, tree_dot, tree_max
 from jaxscp.conic.kkt import Primal
 from jaxscp.conic.program import StagedProgram
 from jaxscp.conic.smoothing import Pair, central_pair
-from jaxscp.types import Scalar
+from jaxscp.core.trees import tree_axpy, tree_dot, tree_max
+from jaxscp.core.types import Scalar
 
 
 class CentralPoint(eqx.Module):

@@ -6,12 +6,14 @@ Mehrotra's predictor and corrector, of the program itself and of the homogeneous
 import jax
 import jax.numpy as jnp
 
-from jaxscp.conic import cones, kkt
-from jaxscp.conic.cones import ConeVector, tree_axpy, tree_dot, tree_negated
+from jaxscp.cones import product
+from jaxscp.cones.product import ConeVector
+from jaxscp.conic import kkt
 from jaxscp.conic.iterate import Iterate, Residuals
 from jaxscp.conic.kkt import Primal
 from jaxscp.conic.program import StagedProgram
-from jaxscp.types import Count, Flag, Scalar
+from jaxscp.core.trees import tree_axpy, tree_dot, tree_negated
+from jaxscp.core.types import Count, Flag, Scalar
 
 
 class Newton:
@@ -24,7 +26,7 @@ class Newton:
         self, program: StagedProgram, iterate: Iterate, regularisation: float, refinements: Count | int
     ):
         self.program, self.iterate = program, iterate
-        self.scaling = cones.scaling(iterate.s, iterate.y)
+        self.scaling = product.scaling(iterate.s, iterate.y)
         factor = kkt.factorise(program, self.scaling, regularisation)
         self._solve = lambda rx, ry: kkt.solve(program, self.scaling, factor, rx, ry, refinements)
 
@@ -35,10 +37,10 @@ class Newton:
 
     def corrector(self, r: Residuals, affine: Iterate, sigma: Scalar) -> Iterate:
         """Mehrotra's combined direction: centring by sigma and second-order correction."""
-        cross = cones.product(self.scaling.apply_inverse(affine.s), self.scaling.apply(affine.y))
-        target = tree_axpy(-sigma * r.mu, cones.identity(affine.s), cross)
+        cross = product.product(self.scaling.apply_inverse(affine.s), self.scaling.apply(affine.y))
+        target = tree_axpy(-sigma * r.mu, product.identity(affine.s), cross)
         target_tau = self.iterate.tau * self.iterate.kappa + affine.tau * affine.kappa - sigma * r.mu
-        lifted = self.scaling.apply(cones.divide(self.scaling.apply(self.iterate.y), target))
+        lifted = self.scaling.apply(product.divide(self.scaling.apply(self.iterate.y), target))
         lifted = tree_axpy(1.0, lifted, self.iterate.s)
         solution = self._solve(*self._right_side(r, 1.0 - sigma, lifted))
         return self._direction(r, 1.0 - sigma, target_tau, solution, lifted)
@@ -47,8 +49,8 @@ class Newton:
         """How far it stays in the cones, at most one: with variables and slacks, and with multipliers. Of a linear
         program the multipliers' residuals do not depend on the variables, and both go as far as they can."""
         point = self.iterate
-        primal = jnp.minimum(1.0, cones.longest_step(point.s, direction.s))
-        dual = jnp.minimum(1.0, cones.longest_step(point.y, direction.y))
+        primal = jnp.minimum(1.0, product.longest_step(point.s, direction.s))
+        dual = jnp.minimum(1.0, product.longest_step(point.y, direction.y))
         both, linear = jnp.minimum(primal, dual), jnp.all(self.program.hessian == 0.0)
         return jnp.where(linear, primal, both), jnp.where(linear, dual, both)
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxscp.conic.program import Cones, Links, Multipliers, Near, NormCost, Rows, StagedProgram
-from jaxscp.types import Scalar
+from jaxscp.core.types import Scalar
 
 _LOWEST, _HIGHEST = 1e-4, 1e4  # limits on each scale, as in OSQP and Clarabel
 

@@ -15,16 +15,18 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxscp.conic import cones, kkt, native
-from jaxscp.conic.cones import ConeVector, tree_axpy, tree_negated
+from jaxscp.backends.libraries import choose
+from jaxscp.cones import product
+from jaxscp.cones.product import ConeVector
+from jaxscp.conic import kkt, native
 from jaxscp.conic.directions import Embedded, Newton
 from jaxscp.conic.equilibrate import Scales, equilibrate
 from jaxscp.conic.iterate import Iterate, Residuals, measured, residuals_at
 from jaxscp.conic.kkt import Primal
 from jaxscp.conic.program import ConicSolution, Multipliers, Near, StagedProgram
-from jaxscp.libraries import choose
-from jaxscp.status import Status, StatusCode
-from jaxscp.types import Scalar
+from jaxscp.core.status import Status, StatusCode
+from jaxscp.core.trees import tree_axpy, tree_negated
+from jaxscp.core.types import Scalar
 
 
 class Progress(eqx.Module):
@@ -189,16 +191,16 @@ class InteriorPoint(eqx.Module):
 
     def _start(self, program: StagedProgram, scales: Scales) -> Progress:
         """The point that solves the program with its cones replaced by a least-squares penalty."""
-        unit = cones.scaling(_interior_unit(program), _interior_unit(program))
+        unit = product.scaling(_interior_unit(program), _interior_unit(program))
         factor = kkt.factorise(program, unit, self.regularisation)
         q, b = kkt.linear_cost(program), kkt.right_side(program)
         x, y = kkt.solve(program, unit, factor, tree_negated(q), b, self.refinements)
         slack = eqx.tree_at(lambda v: v.zero, tree_negated(y), jnp.zeros_like(y.zero))
-        slack = cones.lift_inside(slack)
+        slack = product.lift_inside(slack)
         # The bounds of the norms follow their cones, so that those rows start without residual.
         _, trust, virtual = kkt.unpack(program, slack.second)
         x = Primal(x.z, trust[:, 0], virtual[:, 0])
-        iterate = Iterate(x, cones.lift_inside(y), slack, jnp.ones(()), jnp.ones(()))
+        iterate = Iterate(x, product.lift_inside(y), slack, jnp.ones(()), jnp.ones(()))
         return _started(program, scales, iterate)
 
     def _decided(self, r: Residuals, tolerance: Scalar) -> Bool[Array, ""]:
@@ -285,4 +287,4 @@ def _started(program: StagedProgram, scales: Scales, iterate: Iterate) -> Progre
 
 
 def _interior_unit(program: StagedProgram) -> ConeVector:
-    return cones.identity(kkt.right_side(program))
+    return product.identity(kkt.right_side(program))

@@ -4,13 +4,15 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from jaxscp.conic import cones, kkt
-from jaxscp.conic.cones import ConeVector, tree_axpy, tree_dot, tree_max
+from jaxscp.cones import product
+from jaxscp.cones.product import ConeVector
+from jaxscp.conic import kkt
 from jaxscp.conic.equilibrate import Scales
 from jaxscp.conic.kkt import Primal
-from jaxscp.conic.near import central_start
 from jaxscp.conic.program import Near, StagedProgram
-from jaxscp.types import Scalar
+from jaxscp.conic.warm_start import central_start
+from jaxscp.core.trees import tree_axpy, tree_dot, tree_max
+from jaxscp.core.types import Scalar
 
 
 class Iterate(eqx.Module):
@@ -65,7 +67,7 @@ def measured(program: StagedProgram, scales: Scales, p: Iterate, rx: Primal, ry:
     primal = tree_axpy(p.tau, b, ry)
     quadratic, linear, offset = tree_dot(p.x, hessian_x), tree_dot(q, p.x), tree_dot(b, p.y)
     rtau = linear + offset + p.kappa + quadratic / p.tau
-    mu = (tree_dot(p.s, p.y) + p.tau * p.kappa) / (cones.degree(p.s) + 1)
+    mu = (tree_dot(p.s, p.y) + p.tau * p.kappa) / (product.degree(p.s) + 1)
 
     primal_cost = (0.5 * quadratic / p.tau + linear) / p.tau
     dual_cost = (-0.5 * quadratic / p.tau - offset) / p.tau

@@ -16,11 +16,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxscp.conic import block_tridiagonal
-from jaxscp.conic.batched import gram, inverse_factor, times, times_transposed, transpose_times
-from jaxscp.conic.cones import ConeVector, Scaling, SecondOrderScaling, tree_axpy
+from jaxscp.cones.product import ConeVector, Scaling
+from jaxscp.cones.second_order import SecondOrderScaling
 from jaxscp.conic.program import Multipliers, StagedProgram
-from jaxscp.types import Count
+from jaxscp.core.trees import tree_axpy
+from jaxscp.core.types import Count
+from jaxscp.linalg import block_tridiagonal
+from jaxscp.linalg.batched import gram, inverse_factor, times, times_transposed, transpose_times
 
 
 class Primal(eqx.Module):

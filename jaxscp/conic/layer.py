@@ -22,18 +22,19 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from jaxscp.cones.product import ConeVector
 from jaxscp.conic import kkt
 from jaxscp.conic.augmented import System, Unknowns, factorise
 from jaxscp.conic.central_path import centre, conditions, lagrangian
-from jaxscp.conic.cones import ConeVector, tree_axpy
 from jaxscp.conic.equilibrate import scaled_by
-from jaxscp.conic.implicit import once, symmetric_solve
 from jaxscp.conic.interior_point import InteriorPoint, restored
 from jaxscp.conic.kkt import Primal
 from jaxscp.conic.program import ConicSolution, StagedProgram
 from jaxscp.conic.smoothing import central_pair
-from jaxscp.status import Status
-from jaxscp.types import Flag, Scalar
+from jaxscp.core.implicit import once, symmetric_solve
+from jaxscp.core.status import Status
+from jaxscp.core.trees import tree_axpy
+from jaxscp.core.types import Flag, Scalar
 
 _SOLVED = 1e-8  # relative residual at which a linear system counts as solved
 _STRICT = 1e-6  # relative; to what the system has to recover a known change of z
@@ -68,7 +69,7 @@ class ConicLayer(eqx.Module):
     Example:
         >>> import equinox as eqx, jax
         >>> from jaxscp.conic import ConicLayer
-        >>> from jaxscp.conic.examples import smallest_program
+        >>> from jaxscp.conic.random_programs import smallest_program
         >>> program = smallest_program()
         >>> def cost(target):  # of the way from 0 to the target in one step: target^2 / 2
         ...     moved = eqx.tree_at(lambda p: p.links.offset, program, program.links.offset.at[2, 0].set(target))

@@ -22,8 +22,8 @@ import scipy
 
 from jaxscp.conic.program import ConicSolution, Multipliers, Near, StagedProgram
 from jaxscp.conic.quadratic import DEFAULT_FACETS, QuadraticProgram, quadratic_form
-from jaxscp.status import Status, StatusCode
-from jaxscp.types import Scalar
+from jaxscp.core.status import Status, StatusCode
+from jaxscp.core.types import Scalar
 
 # OSQP's own codes and what they are here; any other (a time limit, an interrupt) is too little progress.
 _MEANING = {
@@ -95,7 +95,7 @@ class OSQP(eqx.Module):
 
     Example:
         >>> from jaxscp.conic import OSQP
-        >>> from jaxscp.conic.examples import smallest_program
+        >>> from jaxscp.conic.random_programs import smallest_program
         >>> round(float(OSQP()(smallest_program()).objective), 4)
         0.5
     """

@@ -18,9 +18,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxscp.conic.batched import times, transpose_times
-from jaxscp.status import StatusCode
-from jaxscp.types import Flag, Scalar
+from jaxscp.core.status import StatusCode
+from jaxscp.core.types import Flag, Scalar
+from jaxscp.linalg.batched import times, transpose_times
 
 
 class Links(eqx.Module):
@@ -133,7 +133,7 @@ class Near(eqx.Module):
 
     Example:
         >>> from jaxscp.conic import Near
-        >>> from jaxscp.conic.examples import random_program
+        >>> from jaxscp.conic.random_programs import random_program
         >>> from jaxscp.conic.interior_point import InteriorPoint
         >>> program = random_program(0, norm=False)
         >>> solver = InteriorPoint(tolerance=1e-4)

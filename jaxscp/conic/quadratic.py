@@ -133,7 +133,7 @@ def quadratic_form(program: StagedProgram, facets: int = DEFAULT_FACETS) -> Quad
         facets: sides of the pyramid in each cone of dimension 3.
 
     Example:
-        >>> from jaxscp.conic.examples import smallest_program
+        >>> from jaxscp.conic.random_programs import smallest_program
         >>> from jaxscp.conic.quadratic import quadratic_form
         >>> quadratic_form(smallest_program()).A.shape
         (8, 5)

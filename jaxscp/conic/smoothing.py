@@ -14,8 +14,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxscp.conic.cones import ConeVector
-from jaxscp.types import Scalar
+from jaxscp.cones.product import ConeVector
+from jaxscp.core.types import Scalar
 
 _TINY = 1e-300  # keeps the direction of a tail of zeros finite
 

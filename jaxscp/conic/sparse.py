@@ -70,7 +70,7 @@ def export(program: StagedProgram) -> SparseProgram:
 
     Example:
         >>> from jaxscp.conic import export
-        >>> from jaxscp.conic.examples import smallest_program
+        >>> from jaxscp.conic.random_programs import smallest_program
         >>> export(smallest_program()).A.shape
         (8, 5)
     """

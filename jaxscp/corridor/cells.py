@@ -8,11 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, ScalarLike
 
+from jaxscp.core.types import Vector3
 from jaxscp.corridor.clouds import PointCloud
 from jaxscp.corridor.decompose import Cell, Decomposition, Seed, seed_of
 from jaxscp.corridor.overlaps import Ball, deepest_ball, intersect
 from jaxscp.corridor.polytopes import Corridor, Polytope
-from jaxscp.types import Vector3
 
 _LEGS_A_CALL = 4
 _SMALLEST_BUCKET = 1024

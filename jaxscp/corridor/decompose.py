@@ -16,10 +16,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, ScalarLike
 
+from jaxscp.core.types import Vector3
 from jaxscp.corridor.ellipsoids import Columns, Ellipsoid, around_segment, inside_polytope
 from jaxscp.corridor.halfspaces import Cuts, capsule_only, cut_away, switch, turn
 from jaxscp.corridor.polytopes import Polytope
-from jaxscp.types import Vector3
 
 Tree = TypeVar("Tree")
 _SHORTEST = 1e-3

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, ScalarLike
 
-from jaxscp.types import Vector3
+from jaxscp.core.types import Vector3
 
 Columns = Float[Array, "3 points"]
 """Points with the coordinate first, so that reductions run along memory."""

@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, ScalarLike
 
+from jaxscp.core.types import Vector3
 from jaxscp.corridor.ellipsoids import Columns, Ellipsoid, first_index_of_least
-from jaxscp.types import Vector3
 
 Rule = Callable[[Vector3, Vector3, Vector3, ScalarLike, ScalarLike], Vector3]
 """Chooses a plane's normal from (tangent, capsule normal, point, half length, distance to leave the seed)."""

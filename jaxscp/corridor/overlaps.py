@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxscp.core.types import Vector3
 from jaxscp.corridor.polytopes import Polytope
-from jaxscp.types import Vector3
 
 _STEPS = 24
 

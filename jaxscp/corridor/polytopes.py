@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from jaxscp.arrays import namespace
-from jaxscp.types import Normals, Offsets, Vector3
+from jaxscp.core.arrays import namespace
+from jaxscp.core.types import Normals, Offsets, Vector3
 
 
 class Corridor(eqx.Module):

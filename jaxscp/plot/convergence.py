@@ -8,7 +8,7 @@ from matplotlib.ticker import MaxNLocator
 
 from jaxscp.plot.curves import Array
 from jaxscp.plot.style import BLUE, GREEN, LEGEND, ORANGE
-from jaxscp.solution import Solution
+from jaxscp.solver.solution import Solution
 
 
 def draw_convergence(axes: Any, solution: Solution) -> Any:

@@ -7,11 +7,11 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from jaxscp.certificate import Flight, fly
 from jaxscp.corridor.polytopes import Corridor
-from jaxscp.landing import landing_problem
-from jaxscp.mission import LandingScenario
-from jaxscp.solution import Solution
+from jaxscp.landing.problem import landing_problem
+from jaxscp.landing.scenario import LandingScenario
+from jaxscp.solver.solution import Solution
+from jaxscp.verification.rollout import Flight, fly
 
 SAMPLES = 24  # drawn points an interval
 

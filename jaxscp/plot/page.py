@@ -6,14 +6,14 @@ import numpy as np
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import Axes3D
 
-from jaxscp.mission import LandingScenario
+from jaxscp.core.status import status_names
+from jaxscp.landing.scenario import LandingScenario
 from jaxscp.plot.convergence import draw_convergence
 from jaxscp.plot.curves import flown, planned
 from jaxscp.plot.histories import draw_histories
 from jaxscp.plot.scene import draw_scene
 from jaxscp.plot.style import LEGEND
-from jaxscp.solution import Solution
-from jaxscp.status import status_names
+from jaxscp.solver.solution import Solution
 
 
 def summary(scenario: LandingScenario, solution: Solution) -> Figure:

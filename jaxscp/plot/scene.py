@@ -10,10 +10,10 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d import Axes3D, proj3d
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
-from jaxscp import rotations
 from jaxscp.corridor.polytopes import Corridor, Polytope
 from jaxscp.corridor.shapes import polygons
-from jaxscp.mission import BodyState, Ellipsoids, LandingScenario
+from jaxscp.dynamics import rotations
+from jaxscp.landing.scenario import BodyState, Ellipsoids, LandingScenario
 from jaxscp.plot.curves import Array, Curves
 from jaxscp.plot.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILLION
 

@@ -5,20 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxscp import maps
-from jaxscp.corridor import (
-    Corridor,
-    CorridorStatus,
-    EllipsoidDecomposition,
-    InflationFIRI,
-    NoRoute,
-    PointCloud,
-    Polytope,
-    box,
-    build_corridor,
-    chain,
-    pad,
-)
+from jaxscp.corridor import synthetic_maps
+from jaxscp.corridor import Corridor, CorridorStatus, EllipsoidDecomposition, InflationFIRI, NoRoute, PointCloud, Polytope, box, build_corridor, chain, pad
 from jaxscp.corridor.build import legs
 from jaxscp.corridor.cells import cells_along
 from jaxscp.corridor.overlaps import deepest_ball, intersect
@@ -52,10 +40,10 @@ def check(result, cloud):
         assert overlap >= 0.1 - 1e-9
 
 
-@pytest.mark.parametrize("kind", maps.KINDS)
+@pytest.mark.parametrize("kind", synthetic_maps.KINDS)
 @pytest.mark.parametrize("seed", range(4))
 def test_random_maps_give_safe_connected_corridors(kind, seed):
-    place = maps.KINDS[kind](seed)
+    place = synthetic_maps.KINDS[kind](seed)
     method = METHODS[seed % 2]
     result = build_corridor(
         place.cloud,
@@ -85,7 +73,7 @@ def test_random_maps_give_safe_connected_corridors(kind, seed):
 def test_the_distance_to_every_original_point_is_the_radius():
     from scipy.optimize import minimize
 
-    place = maps.pillars(5)
+    place = synthetic_maps.pillars(5)
     result = build_corridor(
         place.cloud, place.start, place.goal, RADIUS, voxel=0.2, lower=place.lower, upper=place.upper
     )
@@ -142,7 +130,7 @@ def test_a_start_near_a_wall_is_called_narrow_rather_than_safe():
 def test_corridors_of_one_shape_batch():
     made = []
     for seed in (0, 1):
-        place = maps.pillars(seed)
+        place = synthetic_maps.pillars(seed)
         result = build_corridor(
             place.cloud,
             place.start,
@@ -189,7 +177,7 @@ def test_cells_that_run_out_of_planes_are_made_smaller_or_that_is_told():
 
 
 def test_the_chain_on_the_device_makes_the_same_polytopes_as_the_host():
-    place = maps.pillars(2)
+    place = synthetic_maps.pillars(2)
     rng = np.random.default_rng(0)
     cloud = PointCloud(place.cloud.points[np.sort(rng.choice(place.cloud.count, 900, replace=False))])
     route = np.array([[1.0, 1.0, 2.0], [4.0, 1.0, 2.0], [4.0, 5.0, 2.0]])

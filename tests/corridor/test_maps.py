@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from jaxscp import maps
+from jaxscp.corridor import synthetic_maps
 
 
-@pytest.mark.parametrize("kind", maps.KINDS)
+@pytest.mark.parametrize("kind", synthetic_maps.KINDS)
 def test_a_map_keeps_its_promises(kind):
-    place, again, other = maps.KINDS[kind](4), maps.KINDS[kind](4), maps.KINDS[kind](5)
+    place, again, other = synthetic_maps.KINDS[kind](4), synthetic_maps.KINDS[kind](4), synthetic_maps.KINDS[kind](5)
     np.testing.assert_array_equal(place.cloud.points, again.cloud.points)
     assert place.cloud.points.shape != other.cloud.points.shape or not np.allclose(
         place.cloud.points, other.cloud.points
@@ -23,15 +23,15 @@ def test_a_map_keeps_its_promises(kind):
 def test_perlin_noise_is_zero_on_its_lattice_and_smooth_between():
     rng = np.random.default_rng(0)
     lattice = np.stack(np.meshgrid(*[np.arange(3.0)] * 3, indexing="ij"), axis=-1)
-    np.testing.assert_allclose(maps._gradient_noise(rng, lattice), 0.0)
+    np.testing.assert_allclose(synthetic_maps._gradient_noise(rng, lattice), 0.0)
     line = np.zeros((400, 1, 1, 3))
     line[:, 0, 0] = np.linspace([0.1, 0.3, 0.2], [2.1, 1.3, 0.7], 400)
-    assert np.abs(np.diff(maps._gradient_noise(rng, line).ravel())).max() < 0.03
+    assert np.abs(np.diff(synthetic_maps._gradient_noise(rng, line).ravel())).max() < 0.03
 
 
 def test_every_office_room_can_be_reached():
     for seed in range(5):
-        doors = maps._doors(np.random.default_rng(seed), 3)
+        doors = synthetic_maps._doors(np.random.default_rng(seed), 3)
         reached, fresh = {(0, 0)}, [(0, 0)]
         while fresh:
             i, j = fresh.pop()
@@ -48,4 +48,4 @@ def test_every_office_room_can_be_reached():
 
 def test_a_map_too_full_to_stand_in_says_so():
     with pytest.raises(ValueError, match="fewer obstacles"):
-        maps.pillars(0, count=400, clear=3.0)
+        synthetic_maps.pillars(0, count=400, clear=3.0)

@@ -29,11 +29,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxscp import libraries
+from jaxscp.backends import libraries
 from jaxscp.conic import kkt
 from jaxscp.conic.native import gpu
 from jaxscp.conic.program import Near, StagedProgram
-from jaxscp.types import Scalar
+from jaxscp.core.types import Scalar
 
 LIBRARY = libraries.INTERIOR_POINT
 (TARGET,) = LIBRARY.targets

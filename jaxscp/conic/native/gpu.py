@@ -10,10 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxscp import libraries
+from jaxscp.backends import cuda, libraries
+from jaxscp.backends.cuda import compiler
 from jaxscp.conic.program import StagedProgram
-from jaxscp.libraries import cuda
-from jaxscp.libraries.cuda import compiler
 
 TARGET = libraries.INTERIOR_POINT.on_gpu
 THREADS = 256  # that solve a program together
@@ -74,7 +73,7 @@ def kernel(sizes: Sizes, capability: str) -> bytes | None:
         (folder / "kernel.cu").read_text(),
         capability,
         "the interior point",
-        (folder, Path(libraries.__file__).parent),
+        (folder, libraries.HEADERS),
         JAXSCP_SIZES=sizes,
         JAXSCP_THREADS=THREADS,
         JAXSCP_BLOCKS=BLOCKS,

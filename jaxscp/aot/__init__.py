@@ -1,0 +1,1 @@
+"""Programs compiled ahead of their first call, kept in files and caches."""

@@ -1,0 +1,99 @@
+"""What a pytree of this library looks like, as plain data: to compare two of them, and to store one in a file.
+
+A description is made of dicts, lists, strings and numbers, which JSON holds: a class with its fields, a tuple with its
+items, an array with its shape and dtype. Classes are named, never stored: ``prototype`` builds only those it is given.
+"""
+
+import dataclasses
+from collections.abc import Iterable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxscp.core.status import Status
+
+Description = Any
+
+_STATUS = type(Status.converged)
+
+
+def describe(tree: Any) -> Description:
+    """Classes, fields, shapes and dtypes of a pytree whose leaves are arrays or ``jax.ShapeDtypeStruct``.
+
+    Example:
+        >>> import jaxscp
+        >>> from jaxscp.aot.pytree_spec import describe
+        >>> describe(jaxscp.fixed().position)
+        {'shape': [3], 'dtype': 'float64'}
+    """
+    if isinstance(tree, _STATUS):
+        return {"status": describe(jax.tree.leaves(tree)[0])}
+    if isinstance(tree, eqx.Module):
+        parts = {field.name: describe(getattr(tree, field.name)) for field in dataclasses.fields(tree)}
+        return {"class": f"{type(tree).__module__}.{type(tree).__qualname__}", "fields": parts}
+    if isinstance(tree, tuple):
+        return {"items": [describe(item) for item in tree]}
+    if tree is None or isinstance(tree, str | bool | int | float):
+        return {"value": tree}
+    if hasattr(tree, "shape") and hasattr(tree, "dtype"):
+        return {"shape": list(tree.shape), "dtype": str(tree.dtype)}
+    raise TypeError(f"a {type(tree).__name__} cannot be described")
+
+
+def prototype(description: Description, classes: Iterable[type]) -> Any:
+    """A pytree of zeros that looks as described, built by the constructors of these classes and no other.
+
+    Raises:
+        KeyError: if the description lacks a part, or names another class.
+    """
+    known = {f"{cls.__module__}.{cls.__qualname__}": cls for cls in classes}
+
+    def build(part):
+        if "status" in part:
+            return Status.converged
+        if "class" in part:
+            return known[part["class"]](**{name: build(field) for name, field in part["fields"].items()})
+        if "items" in part:
+            return tuple(build(item) for item in part["items"])
+        if "value" in part:
+            return part["value"]
+        return jnp.asarray(np.zeros(part["shape"], part["dtype"]))
+
+    return build(description)
+
+
+def difference(expected: Description, found: Description, name: str = "") -> str | None:
+    """Where two descriptions first differ, in words; None where they do not.
+
+    Example:
+        >>> import jax.numpy as jnp, jaxscp
+        >>> from jaxscp.aot.pytree_spec import describe, difference
+        >>> slow, any_speed = jaxscp.flight_limits(speed=3.0), jaxscp.flight_limits()
+        >>> difference(describe(slow), describe(any_speed))
+        'speed: float64 of shape () expected, got None'
+    """
+    if expected == found:
+        return None
+    if "fields" in expected and expected.get("class") == found.get("class"):
+        pairs = [
+            (part, expected["fields"].get(part), found["fields"].get(part)) for part in expected["fields"]
+        ]
+    elif "items" in expected and len(expected["items"]) == len(found.get("items", ())):
+        pairs = [
+            (str(i), *both) for i, both in enumerate(zip(expected["items"], found["items"], strict=True))
+        ]
+    else:
+        return f"{name}: {_words(expected)} expected, got {_words(found)}"
+    below = (difference(one, other, f"{name}.{part}".lstrip(".")) for part, one, other in pairs)
+    return next(words for words in below if words)
+
+
+def _words(part: Description) -> str:
+    if "shape" in part:
+        return f"{part['dtype']} of shape {tuple(part['shape'])}"
+    if "class" in part:
+        return part["class"].rpartition(".")[2]
+    return f"{len(part['items'])} items" if "items" in part else str(part.get("value"))

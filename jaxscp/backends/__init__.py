@@ -1,0 +1,1 @@
+"""Compiled libraries, CUDA kernels, and functions written as C++ or CUDA."""

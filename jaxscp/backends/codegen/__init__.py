@@ -1,0 +1,1 @@
+"""Functions of arrays as lists of scalar operations, and these as CUDA text."""

@@ -1,0 +1,46 @@
+"""A tape evaluated by JAX: every number is an array."""
+
+from collections.abc import Callable
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxscp.backends.codegen import tape
+
+_UNARY: dict[str, Callable[..., Array]] = {
+    "reciprocal": lambda a: 1.0 / a,
+    "negative": jnp.negative,
+    "abs": jnp.abs,
+    **{name: getattr(jnp, name) for name in ("sqrt", "sin", "cos", "exp", "log", "tanh")},
+}
+_BINARY: dict[str, Callable[..., Array]] = {
+    "sum": jnp.add,
+    "difference": jnp.subtract,
+    "product": jnp.multiply,
+    "max": jnp.maximum,
+    "min": jnp.minimum,
+    "lt": lambda a, b: jnp.less(a, b).astype(a.dtype),
+    "le": lambda a, b: jnp.less_equal(a, b).astype(a.dtype),
+    "gt": lambda a, b: jnp.greater(a, b).astype(a.dtype),
+    "ge": lambda a, b: jnp.greater_equal(a, b).astype(a.dtype),
+    "eq": lambda a, b: jnp.equal(a, b).astype(a.dtype),
+}
+_TERNARY: dict[str, Callable[..., Array]] = {
+    "choice": lambda which, yes, no: jnp.where(which != 0.0, yes, no),
+    "multiply_add": lambda a, b, c: a * b + c,
+    "multiply_subtract": lambda a, b, c: c - a * b,
+}
+_OPERATIONS = {
+    tape.CODES[name]: (count, function)
+    for count, functions in enumerate((_UNARY, _BINARY, _TERNARY), start=1)
+    for name, function in functions.items()
+}
+
+
+def play(recorded: tape.Tape, arguments: list[Array], parameters: Float[Array, "parameters"]) -> list[Array]:
+    """The outputs of a tape."""
+    places: dict[int, Array] = dict(enumerate([*arguments, *parameters, *recorded.constants.tolist()]))
+    for code, to, *operands in recorded.operations.tolist():
+        count, function = _OPERATIONS[code]
+        places[to] = function(*(places[v] for v in operands[:count]))
+    return [places[v] for v in recorded.outputs.tolist()]

@@ -1,0 +1,1 @@
+"""The cones of a convex program, and all algebra on them."""

@@ -1,0 +1,1 @@
+"""Array types, statuses, batched loops: nothing here knows a problem."""

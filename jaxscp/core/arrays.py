@@ -1,0 +1,40 @@
+"""Arrays from what people write down, of which JAX compiles nothing."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+
+PRECISION = (
+    "precision: jaxscp solves in float64, which JAX has switched off. Put jax.config.update('jax_enable_x64', True) at "
+    "the start of the program, or set JAX_ENABLE_X64=1."
+)
+
+
+def namespace(*values: Any) -> Any:
+    """``jax.numpy`` where any of these pytrees is traced, else ``numpy``.
+
+    What is known needs no JAX, which would compile every operation on it: a scenario would take longer to write down
+    than to plan for. What is to be an array of JAX goes through ``jnp.asarray``.
+
+    Example:
+        >>> import jax, jax.numpy as jnp
+        >>> from jaxscp.core.arrays import namespace
+        >>> namespace([0.0, 1.0], jnp.ones(3)).__name__
+        'numpy'
+        >>> int(jax.jit(lambda v: namespace(v).argmax(v))(jnp.arange(3)))
+        2
+    """
+    return jnp if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(values)) else np
+
+
+def floats(value: Any) -> jax.Array:
+    """Numbers, arrays, or nested lists of them, as an array of floats."""
+    return jnp.asarray(namespace(value).asarray(value, float))
+
+
+def double_precision() -> bool:
+    """Whether JAX computes in float64, as all of this library does."""
+    return bool(jax.config.jax_enable_x64)  # pyright: ignore[reportAttributeAccessIssue]

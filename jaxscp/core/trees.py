@@ -1,0 +1,27 @@
+"""Vector arithmetic on pytrees."""
+
+import jax
+import jax.numpy as jnp
+
+from jaxscp.core.types import Scalar
+
+
+def tree_dot(a, b) -> Scalar:
+    """Inner product of two like pytrees."""
+    pairs = zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)
+    return jnp.sum(jnp.stack([jnp.vdot(x, y) for x, y in pairs]))
+
+
+def tree_axpy(a, x, y):
+    """a x + y for pytrees."""
+    return jax.tree.map(lambda u, v: a * u + v, x, y)
+
+
+def tree_negated(a):
+    """-a for pytrees."""
+    return jax.tree.map(jnp.negative, a)
+
+
+def tree_max(a) -> Scalar:
+    """Largest absolute entry of a pytree."""
+    return jnp.max(jnp.stack([jnp.max(jnp.abs(x), initial=0.0) for x in jax.tree.leaves(a)]))

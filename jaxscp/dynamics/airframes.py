@@ -1,0 +1,135 @@
+"""Vehicles as data: a rigid body and the limits of its rotors, with the source of every number."""
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxscp.core.arrays import floats, namespace
+from jaxscp.core.types import Scalar
+from jaxscp.dynamics.rigid_body import RigidBody
+
+GRAVITY = 9.81  # m/s^2
+
+
+class Airframe(eqx.Module):
+    """A rigid body, its rotors' limits and its size."""
+
+    body: RigidBody
+    thrust_min: Float[Array, "rotors"]
+    """Least thrust of each rotor in N."""
+    thrust_max: Float[Array, "rotors"]
+    """Greatest thrust of each rotor in N."""
+    radius: Scalar
+    """Half the motor-to-motor diagonal in m: what a safety margin must at least cover."""
+
+
+def multirotor(
+    *,
+    mass: Scalar | float,
+    inertia,
+    arm: Scalar | float,
+    torque_ratio: Scalar | float,
+    thrust_min: Scalar | float,
+    thrust_max: Scalar | float,
+    rotors: int = 4,
+    tilt: Scalar | float = 0.0,
+) -> Airframe:
+    """Rotors on a circle, the first at 45 degrees (quadrotor) or half a spacing, spinning alternately.
+
+    Args:
+        mass: kg.
+        inertia: kg m^2, three principal moments or a 3 x 3 matrix.
+        arm: distance of the rotors from the centre in m.
+        torque_ratio: drag torque per thrust (kappa) in m.
+        thrust_min: N for each rotor.
+        thrust_max: N for each rotor.
+        rotors: number of rotors.
+        tilt: angle in radians by which each rotor leans about its arm, alternately left and right.
+
+    Returns:
+        The airframe; body x points forward, y left, z up.
+
+    Example:
+        >>> from jaxscp import airframes
+        >>> hexa = airframes.multirotor(mass=2.0, inertia=[0.02, 0.02, 0.04], arm=0.3, torque_ratio=0.02,
+        ...                             thrust_min=0.1, thrust_max=8.0, rotors=6)
+        >>> hexa.body.control_size
+        6
+    """
+    xp = namespace(mass, inertia, arm, torque_ratio, thrust_min, thrust_max, tilt)
+    angle = (np.arange(rotors) + 0.5) * 2.0 * np.pi / rotors
+    spin = np.where(np.arange(rotors) % 2 == 0, 1.0, -1.0)
+    position = arm * np.stack([np.cos(angle), np.sin(angle), np.zeros(rotors)])
+    sideways = np.stack([-np.sin(angle), np.cos(angle), np.zeros(rotors)])
+    axis = xp.sin(spin * tilt) * sideways + xp.cos(tilt) * np.array([[0.0], [0.0], [1.0]])
+    torque = xp.cross(position, axis, axis=0) + torque_ratio * spin * axis
+    inertia = xp.asarray(inertia, float)
+    body = RigidBody(
+        mass=floats(mass),
+        inertia=floats(xp.diag(inertia) if inertia.ndim == 1 else inertia),
+        thrust_map=floats(axis),
+        torque_map=floats(torque),
+        gravity=floats([0.0, 0.0, -GRAVITY]),
+    )
+    least, most = (floats(xp.full(rotors, limit)) for limit in (thrust_min, thrust_max))
+    return Airframe(body, least, most, floats(arm))
+
+
+def paper_mav() -> Airframe:
+    """The paper's micro aerial vehicle: 0.928 kg, 15.2 cm diagonal (so arms of 7.6 cm).
+
+    The paper gives neither inertia nor limits. Inertia: diag(2.5, 2.1, 4.3) g m^2, that of like vehicles of
+    this mass with a centred battery. Thrust 0.3 to 5 N a rotor: a thrust-to-weight ratio of 2.2, and rotors
+    that never stop. Drag torque ratio 0.016 m, common for 3-inch propellers.
+    """
+    return multirotor(
+        mass=0.928,
+        inertia=[2.5e-3, 2.1e-3, 4.3e-3],
+        arm=0.076,
+        torque_ratio=0.016,
+        thrust_min=0.3,
+        thrust_max=5.0,
+    )
+
+
+def paper_carrier() -> Airframe:
+    """The paper's carrier with its deck: 13.1 kg, 106.8 cm diagonal.
+
+    Inertia is ours: a disc of the vehicle's radius with a third of its mass spread over it, the rest within
+    20 cm of the centre. Thrust 2 to 60 N a rotor: a thrust-to-weight ratio of 1.9, enough to lift the MAV.
+    """
+    return multirotor(
+        mass=13.1, inertia=[0.45, 0.45, 0.80], arm=0.534, torque_ratio=0.018, thrust_min=2.0, thrust_max=60.0
+    )
+
+
+def crazyflie2() -> Airframe:
+    """Bitcraze Crazyflie 2: 27 g, arms of 46 mm.
+
+    Mass, inertia and torque ratio as identified by J. Foerster, "System Identification of the Crazyflie 2.0
+    Nano Quadrocopter" (ETH Zurich, 2015); thrust up to 0.15 N a rotor, that of a full battery.
+    """
+    return multirotor(
+        mass=0.027,
+        inertia=[1.66e-5, 1.66e-5, 2.93e-5],
+        arm=0.046,
+        torque_ratio=0.00596,
+        thrust_min=0.002,
+        thrust_max=0.15,
+    )
+
+
+def tilted_quadrotor(tilt: float = 0.35) -> Airframe:
+    """The paper's vehicle with its rotors leaning about their arms by 20 degrees (0.35 rad), alternately.
+
+    Tilted rotors give yaw authority from thrust rather than from drag.
+    """
+    return multirotor(
+        mass=0.928,
+        inertia=[2.5e-3, 2.1e-3, 4.3e-3],
+        arm=0.076,
+        torque_ratio=0.016,
+        thrust_min=0.3,
+        thrust_max=5.0,
+        tilt=tilt,
+    )

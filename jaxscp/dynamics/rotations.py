@@ -1,0 +1,81 @@
+"""Unit quaternions (w, x, y, z) that rotate body vectors into the world."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxscp.core.arrays import namespace
+from jaxscp.core.types import Quaternion, Scalar, Vector3
+
+
+def rotation_matrix(q: Quaternion) -> Float[Array, "3 3"]:
+    """R(q): columns are the body axes in world coordinates.
+
+    A polynomial, so that linearisation needs no division; a rotation for unit quaternions only. Of the forms
+    that agree there, this one does not lengthen with |q|: a small drift of the norm, which linearised steps
+    make to second order, then leaves a level vehicle's thrust unchanged.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from jaxscp.dynamics.rotations import rotation_matrix
+        >>> bool((rotation_matrix(jnp.array([1.0, 0.0, 0.0, 0.0])) == jnp.eye(3)).all())
+        True
+    """
+    w, x, y, z = q
+    return jnp.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
+    """Hamilton product a b: rotate by b, then by a."""
+    head = a[0] * b[0] - jnp.dot(a[1:], b[1:])
+    return jnp.concatenate([head[None], a[0] * b[1:] + b[0] * a[1:] + jnp.cross(a[1:], b[1:])])
+
+
+def conjugate(q: Quaternion) -> Quaternion:
+    """The inverse rotation of a unit quaternion."""
+    return jnp.concatenate([q[:1], -q[1:]])
+
+
+def quaternion_rate(q: Quaternion, body_rate: Vector3) -> Quaternion:
+    """1/2 Omega(w) q of equation (3): derivative of the attitude at a body rate in rad/s."""
+    return 0.5 * multiply(q, jnp.concatenate([jnp.zeros_like(body_rate[:1]), body_rate]))
+
+
+def attitude_error(q: Quaternion, target: Quaternion) -> Vector3:
+    """Vector part of the rotation from target to q: half the rotation vector in radians, to first order.
+
+    Three numbers, not four: the flow keeps |q|, so a fourth constraint on it would be degenerate. The sign is
+    that of the nearer of the two quaternions that stand for one attitude.
+    """
+    error = multiply(conjugate(target), q)
+    return jnp.where(error[0] < 0, -error[1:], error[1:])
+
+
+def angle_between(a: Quaternion, b: Quaternion) -> Scalar:
+    """Angle in radians of the rotation that takes attitude a to attitude b."""
+    error = multiply(conjugate(a), b)
+    return 2.0 * jnp.arctan2(jnp.linalg.norm(error[1:]), jnp.abs(error[0]))
+
+
+def tilt(q: Quaternion) -> Scalar:
+    """Angle in radians between the body's z axis and the vertical."""
+    return jnp.arccos(jnp.clip(rotation_matrix(q)[2, 2], -1.0, 1.0))
+
+
+def from_yaw(yaw: Scalar | float) -> Quaternion:
+    """Level attitude at a heading in radians, counter-clockwise from the world's x axis.
+
+    Example:
+        >>> from jaxscp.dynamics.rotations import from_yaw
+        >>> from_yaw(0.0).tolist()
+        [1.0, 0.0, 0.0, 0.0]
+    """
+    xp = namespace(yaw)
+    half = 0.5 * xp.asarray(yaw, float)
+    zero = xp.zeros_like(half)
+    return jnp.asarray(xp.stack([xp.cos(half), zero, zero, xp.sin(half)]))

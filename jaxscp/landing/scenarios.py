@@ -1,0 +1,99 @@
+"""The two missions of the paper, rebuilt: obstacles as point clouds, corridors as stored boxes.
+
+The paper gives neither its clouds nor its corridors; sizes here follow its text (a flight of about 10 m among
+obstacles, and one up to a high platform).
+"""
+
+import numpy as np
+
+from jaxscp.core.arrays import floats
+from jaxscp.core.types import Points
+from jaxscp.corridor.polytopes import Corridor, box, connect
+from jaxscp.dynamics.airframes import paper_mav
+from jaxscp.landing.scenario import BodyState, LandingScenario, Weights, at_rest
+
+_SPACING = 0.15  # m between obstacle points
+
+
+def platform_to_platform() -> LandingScenario:
+    """Case 1: from one platform to another 10 m away, through the gaps of two walls.
+
+    Walls of 40 cm leave a gap on the right, then one on the left; the corridor keeps 25 cm from them.
+    """
+    walls = [([3.0, -0.8, 0.0], [3.4, 4.0, 3.3]), ([6.6, -3.5, 0.0], [7.0, 1.2, 3.3])]
+    platforms = [([-0.5, 0.0, 0.0], [0.5, 1.0, 0.9]), ([9.5, -0.5, 0.0], [10.5, 0.5, 0.9])]
+    corridor = connect(
+        [
+            box([-1.0, -3.0, 0.9], [2.75, 3.0, 3.0]),
+            box([1.5, -3.0, 0.9], [5.0, -1.05, 3.0]),
+            box([3.65, -3.0, 0.9], [6.35, 3.5, 3.0]),
+            box([5.0, 1.45, 0.9], [8.6, 3.5, 3.0]),
+            box([7.25, -3.0, 0.9], [11.0, 3.5, 3.0]),
+        ],
+        joints=[[2.1, -1.5, 1.5], [4.3, -1.6, 1.6], [5.7, 2.0, 1.6], [7.9, 2.0, 1.6]],
+    )
+    return _mission(at_rest([0.0, 0.5, 1.0]), at_rest([10.0, 0.0, 1.0]), corridor, walls + platforms)
+
+
+def ascent_to_platform() -> LandingScenario:
+    """Case 2: out from under a mezzanine, up beside it, and down onto a platform 4.7 m high."""
+    obstacles = [
+        ([-1.5, -1.5, 2.9], [0.5, 4.5, 3.1]),  # mezzanine
+        ([4.2, 2.2, 0.0], [5.8, 3.8, 4.6]),  # tower that carries the platform
+        ([-0.5, -0.5, 0.0], [0.5, 0.5, 0.9]),  # take-off platform
+    ]
+    corridor = connect(
+        [
+            box([-1.0, -1.2, 0.9], [3.0, 4.2, 2.6]),
+            box([0.8, 1.2, 0.9], [3.0, 4.2, 6.5]),
+            box([0.8, 1.2, 4.7], [7.0, 4.2, 6.5]),
+        ],
+        joints=[[1.8, 2.4, 1.9], [1.9, 2.7, 5.5]],
+    )
+    return _mission(at_rest([0.0, 0.0, 1.0]), at_rest([5.0, 3.0, 4.7]), corridor, obstacles)
+
+
+def through(
+    corridor: Corridor, start: BodyState, goal: BodyState, obstacles: Points | None = None
+) -> LandingScenario:
+    """The paper's vehicle, cone and weights in a corridor of one's own.
+
+    Args:
+        corridor: from ``jaxscp.corridor.build_corridor``, or by hand.
+        start: where the flight begins, ``jaxscp.at_rest(position, yaw)`` say.
+        goal: where it lands.
+        obstacles: (points, 3) in m, for pictures.
+
+    Example:
+        >>> import jaxscp
+        >>> room = jaxscp.corridor.box([0.0, 0.0, 0.0], [6.0, 4.0, 3.0])
+        >>> corridor = jaxscp.corridor.connect([room], joints=[])
+        >>> ends = jaxscp.at_rest([1.0, 2.0, 1.0]), jaxscp.at_rest([5.0, 2.0, 1.0])
+        >>> float(jaxscp.scenarios.through(corridor, *ends).airframe.body.mass)
+        0.928
+    """
+    return LandingScenario(
+        airframe=paper_mav(),
+        start=start,
+        goal=goal,
+        corridor=corridor,
+        cone_angle=floats(np.pi / 4),
+        weights=Weights(control=floats(1.0), time=floats(0.0)),
+        dilation_min=floats(0.5),
+        dilation_max=floats(20.0),
+        obstacles=obstacles,
+    )
+
+
+def _mission(start: BodyState, goal: BodyState, corridor: Corridor, obstacles) -> LandingScenario:
+    surfaces = [_surface(*map(np.asarray, corners)) for corners in obstacles]
+    return through(corridor, start, goal, floats(np.concatenate(surfaces)))
+
+
+def _surface(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Points on the six sides of a box, on a regular grid."""
+    counts = np.maximum(np.ceil((upper - lower) / _SPACING).astype(int) + 1, 2)
+    axes = [np.linspace(a, b, n) for a, b, n in zip(lower, upper, counts, strict=True)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    on_side = np.any((grid == lower) | (grid == upper), axis=1)
+    return grid[on_side]

@@ -1,0 +1,1 @@
+"""Small structured linear algebra: eigenvalues, Riccati recursion, Gram matrices, block tridiagonal systems."""

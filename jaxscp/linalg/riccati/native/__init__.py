@@ -1,0 +1,35 @@
+"""The recursion in C++, as compiled for this machine.
+
+In the order in which they build on each other (products are those of ``libraries/dense.h``):
+
+    recursion.h   the chain factored, and solved for
+    handler.cc    what XLA calls: a thread a lane
+"""
+
+import jax
+import numpy as np
+
+from jaxscp.backends import libraries
+from jaxscp.linalg.riccati.in_jax import PENALTY
+from jaxscp.linalg.riccati.system import Chain, Factor, Side, no_factor
+
+LIBRARY = libraries.RICCATI
+FACTOR, SOLVE = LIBRARY.targets
+
+
+def factor(chain: Chain) -> Factor:
+    """``in_jax.factor``, to rounding."""
+    like = jax.eval_shape(no_factor, chain)
+    found = _call(FACTOR, [like.value, like.lower, like.gain, like.first], chain)
+    return Factor(chain, *found)
+
+
+def solve(factor: Factor, right: Side, refinements: int) -> Side:
+    """``in_jax.solve``, to rounding."""
+    return Side(*_call(SOLVE, jax.tree.leaves(right), (factor, right), refinements=np.int64(refinements)))
+
+
+def _call(target: str, like, args, **attributes):
+    results = [jax.ShapeDtypeStruct(v.shape, v.dtype) for v in like]
+    call = jax.ffi.ffi_call(target, results, vmap_method="broadcast_all")
+    return call(*jax.tree.leaves(args), penalty=np.float64(PENALTY), **attributes)

@@ -1,0 +1,1 @@
+"""Interior point on the nonlinear program, and derivatives of its optimum."""

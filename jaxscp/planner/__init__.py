@@ -1,0 +1,1 @@
+"""A planner: check a scenario, build its problem, solve, certify."""

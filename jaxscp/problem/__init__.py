@@ -1,0 +1,1 @@
+"""An optimal control problem, in general."""

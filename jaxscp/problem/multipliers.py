@@ -1,0 +1,30 @@
+"""Multipliers of a flight: what its dynamics, its ends and its constraints cost."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxscp.core.types import Nodes
+
+
+class FlightMultipliers(eqx.Module):
+    """Multipliers of the nonlinear problem."""
+
+    flow: Float[Array, "intervals states"]
+    """lambda: of F(w_i) = x_{i+1}."""
+    initial: Float[Array, "initial"]
+    """Of the conditions at the start."""
+    final: Float[Array, "final"]
+    """Of the conditions at the end."""
+    values: tuple[Float[Array, "_ _ _"], ...]
+    """y: of the ``inequalities``, in the dual of their cones."""
+
+    def by_interval(self) -> tuple[Float[Array, "intervals _ _"], ...]:
+        """y of the constraints, in the shape of ``Outputs.values``: an interval's part in what holds at nodes is its
+        first node's."""
+        return tuple(y[: self.flow.shape[0]] for y in self.values[:-1])
+
+    @property
+    def dilation(self) -> Nodes:
+        """Of the limit of each node's dilation that has the higher price."""
+        return jnp.max(self.values[-1][:, 0], axis=1)

@@ -1,0 +1,1 @@
+"""Sequential convex programming: the outer loops."""

@@ -1,0 +1,1 @@
+"""From an optimal control problem to a nonlinear program on its nodes."""

@@ -1,0 +1,62 @@
+"""Exact discretisation under first-order hold by the state-transition matrix (equations 12-18).
+
+Within an interval, control and dilation are linear in scaled time. The end of the interval as a function of
+(z_i, u_{i+1}) is integrated by RK4; its forward-mode derivative integrates the variational equations with the
+same steps (the inverse-free form), so that A, B- and B+ are the exact Jacobians of the discrete flow.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxscp.integration import dispatch, tableaus
+from jaxscp.integration.intervals import Intervals, controls_at, without_data
+from jaxscp.problem.problem import OptimalControlProblem
+from jaxscp.transcription.layout import interval_inputs
+
+METHOD = tableaus.CLASSICAL
+
+
+class Discretisation(eqx.Module):
+    """The flow over every interval, linearised about a reference: y = flow + jacobian (w - w_ref).
+
+    w_i = (z_i, u_{i+1}) are an interval's variables, the dilation counted as a control.
+    """
+
+    state: Float[Array, "*intervals states"]
+    """States at the end of each interval when integrated from its first node."""
+    cost: Float[Array, "*intervals"]
+    """Running cost of each interval."""
+    state_jacobian: Float[Array, "*intervals states inputs"]
+    """[A, B-, B+]."""
+    cost_jacobian: Float[Array, "*intervals inputs"]
+
+
+@eqx.filter_jit  # traced once for all calls of one program
+def discretise(
+    problem: OptimalControlProblem, z: Float[Array, "nodes variables"], substeps: int
+) -> Discretisation:
+    """Linearise the flow over every interval about the reference z.
+
+    Args:
+        problem: gives dynamics and running cost.
+        z: reference, (nodes, variables).
+        substeps: RK4 steps an interval; the error falls with their fourth power.
+    """
+    w = interval_inputs(problem, z)
+    intervals = Intervals(problem.slope, problem.state_size, METHOD, substeps, substeps)
+    found, jacobian = dispatch.linear(intervals, w, without_data(intervals, w.shape[0]))
+    return Discretisation(found.end, found.cost, jacobian.end, jacobian.cost)
+
+
+def propagate(problem: OptimalControlProblem, z: Float[Array, "nodes variables"], substeps: int):
+    """End states and running costs of every interval, without derivatives."""
+    n = problem.state_size
+
+    def end(w):
+        rate = lambda share, extended: problem.slope(extended[:n], controls_at(w, n, share))  # noqa: E731
+        return tableaus.integrate(METHOD, rate, jnp.append(w[:n], 0.0), substeps)[-1]
+
+    ends = jax.vmap(end)(interval_inputs(problem, z))
+    return ends[:, :n], ends[:, n]

@@ -1,0 +1,44 @@
+"""Where variables lie: a node's z = (state, controls, dilation), an interval's w_i = (z_i, u_{i+1})."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxscp.problem.problem import OptimalControlProblem, node_times, terminal_cost
+from jaxscp.problem.trajectory import Trajectory
+
+
+def interval_inputs(problem: OptimalControlProblem, z: Float[Array, "nodes variables"]):
+    """w_i = (z_i, u_{i+1}) for every interval."""
+    return jnp.concatenate([z[:-1], z[1:, problem.state_size :]], axis=1)
+
+
+def onto_nodes(
+    problem: OptimalControlProblem, intervals: Float[Array, "intervals inputs"]
+) -> Float[Array, "nodes variables"]:
+    """Sum what intervals say of their variables, by nodes: the adjoint of ``interval_inputs``."""
+    stage, states = problem.variables, problem.state_size
+    nodes = jnp.zeros((problem.nodes, stage), intervals.dtype).at[:-1].set(intervals[:, :stage])
+    return nodes.at[1:, states:].add(intervals[:, stage:])
+
+
+def stage_sizes(problem: OptimalControlProblem, sizes: Float[Array, "variables"]) -> Float[Array, "inputs"]:
+    """Sizes of a node's variables, for a stage's."""
+    return jnp.concatenate([sizes, sizes[problem.state_size :]])
+
+
+def cost_gradient(
+    problem: OptimalControlProblem,
+    z: Float[Array, "nodes variables"],
+    running: Float[Array, "intervals inputs"],
+) -> Float[Array, "nodes inputs"]:
+    """Gradient of running and terminal cost by stages; ``running`` is that of every interval's running cost."""
+    terminal = jax.grad(lambda z: terminal_cost(problem, z))(z)
+    idle = running.shape[1] - problem.variables
+    return jnp.pad(terminal, ((0, 0), (0, idle))).at[:-1].add(running)
+
+
+def trajectory_of(problem: OptimalControlProblem, z: Float[Array, "nodes variables"]) -> Trajectory:
+    """The trajectory that node variables stand for."""
+    state, _, control, dilation = jax.vmap(problem.split)(z)
+    return Trajectory(node_times(dilation), state, control, dilation)

@@ -1,0 +1,50 @@
+"""The flight by diffrax's Dopri8, interval after interval."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxscp.dynamics.base import Dynamics
+from jaxscp.verification.integrator.accuracy import FIRST_STEP, TOLERANCE, most_steps
+
+
+def states(
+    dynamics: Dynamics,
+    start: Float[Array, "n"],
+    control: Float[Array, "nodes m"],
+    dilation: Float[Array, "nodes"],
+    samples: int,
+) -> Float[Array, "intervals samples n"]:
+    """States at points of every interval; infinite where it cannot be integrated."""
+    # Here, since it is slow to import, and a planner that was compiled before needs it no more.
+    from diffrax import Dopri8, ODETerm, PIDController, SaveAt, diffeqsolve, is_successful
+
+    intervals = dilation.shape[0] - 1
+    width = 1.0 / intervals
+    shares = jnp.linspace(0.0, 1.0, samples)
+
+    def rate(share, state, ends):
+        (u0, u1), (s0, s1) = ends
+        return width * (s0 + share * (s1 - s0)) * dynamics(state, u0 + share * (u1 - u0))
+
+    def interval(state, ends):
+        solution = diffeqsolve(
+            ODETerm(rate),
+            Dopri8(scan_kind="lax"),
+            0.0,
+            1.0,
+            FIRST_STEP,
+            state,
+            args=ends,
+            # Not SaveAt(ts=...), which checks the times by a call back into Python: such a program cannot be stored.
+            saveat=SaveAt(dense=True),
+            stepsize_controller=PIDController(rtol=TOLERANCE, atol=TOLERANCE),
+            max_steps=most_steps(intervals),
+            throw=False,
+        )
+        flown = jax.vmap(lambda share: jnp.asarray(solution.evaluate(share)))(shares)
+        states = jnp.where(is_successful(solution.result), flown, jnp.inf)
+        return states[-1], states
+
+    _, found = jax.lax.scan(interval, start, ((control[:-1], control[1:]), (dilation[:-1], dilation[1:])))
+    return found

@@ -1,0 +1,166 @@
+"""The interior point against CLARABEL, its certificates, its batches, and the algebra below it."""
+
+import clarabel
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from jaxscp import Status, status_names
+from jaxscp.linalg import block_tridiagonal
+from jaxscp.cones import product
+from jaxscp.conic import export
+from jaxscp.conic.equilibrate import equilibrate
+from jaxscp.conic.random_programs import random_program
+from jaxscp.conic.interior_point import InteriorPoint
+
+SAME_VALUE = 1e-6  # relative; both stop at a gap of about 1e-8
+FEASIBLE = 1e-6  # in each row's own unit
+SEEDS = range(12)
+
+
+@pytest.fixture(scope="module", params=[True, False], ids=["compiled", "as JAX"])
+def solve(request):
+    return eqx.filter_jit(InteriorPoint(compiled=request.param))
+
+
+def reference(program) -> tuple[str, float]:
+    p = export(program)
+    kinds = [clarabel.ZeroConeT(p.zero), clarabel.NonnegativeConeT(p.nonnegative)]
+    kinds += [clarabel.SecondOrderConeT(dimension) for dimension in p.second_order]
+    options = clarabel.DefaultSettings()
+    options.verbose = False
+    answer = clarabel.DefaultSolver(p.P, p.q, p.A, p.b, kinds, options).solve()
+    return str(answer.status), answer.obj_val
+
+
+@pytest.mark.parametrize("norm", [True, False], ids=["norm cost", "quadratic cost"])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_optimal_value_is_clarabels(solve, seed, norm):
+    program = random_program(seed, norm=norm)
+    status, value = reference(program)
+    assert status == "Solved"
+    solution = solve(program)
+    assert status_names(solution.status) == "converged"
+    np.testing.assert_allclose(solution.objective, value, rtol=SAME_VALUE, atol=SAME_VALUE)
+    assert float(program.violation(solution.z)) < FEASIBLE
+
+
+@pytest.mark.parametrize("norm", [True, False], ids=["norm cost", "quadratic cost"])
+@pytest.mark.parametrize("kind", ["infeasible", "unbounded"])
+@pytest.mark.parametrize("seed", range(6))
+def test_certificates(solve, seed, kind, norm):
+    solution = solve(random_program(seed, kind=kind, norm=norm))
+    assert status_names(solution.status) == kind
+    assert np.all(np.isfinite(solution.z))
+
+
+def test_multipliers_prove_optimality(solve):
+    """The gradient of the Lagrangian vanishes, multipliers lie in their cones, and complement the slacks."""
+    program = random_program(3, norm=False)
+    solution = solve(program)
+    y, z = solution.multipliers, solution.z
+    gradient = jnp.einsum("kij,kj->ki", program.hessian, z) + program.gradient
+    gradient += program.links.transpose_apply(y.links)
+    gradient += jnp.einsum("kln,kl->kn", program.rows.matrix, y.rows)
+    gradient += jnp.einsum("kcdn,kcd->kn", program.cones[0].matrix, y.cones[0])
+    np.testing.assert_allclose(gradient, 0.0, atol=1e-5)
+    slack = program.rows.offset - jnp.einsum("kln,kn->kl", program.rows.matrix, z)
+    assert float(jnp.min(y.rows)) >= 0.0
+    np.testing.assert_allclose(slack * y.rows, 0.0, atol=1e-5)
+    bound = program.links.weight * (1.0 + 1e-6) + 1e-6
+    assert np.all(jnp.linalg.norm(program.links.soft * y.links, axis=1) <= bound)
+
+
+def test_lanes_of_a_batch_do_not_touch_each_other(solve):
+    programs = [random_program(seed) for seed in range(3)]
+    batch = jax.tree.map(lambda *v: jnp.stack(v), *programs)
+    poisoned = eqx.tree_at(lambda p: p.gradient, batch, batch.gradient.at[1].set(jnp.nan))
+    solutions = jax.jit(jax.vmap(InteriorPoint()))(poisoned)
+    names = status_names(solutions.status)
+    assert list(names) == ["converged", "numerical_error", "converged"]
+    for lane in (0, 2):
+        alone = solve(programs[lane])
+        np.testing.assert_allclose(solutions.objective[lane], alone.objective, rtol=SAME_VALUE)
+        np.testing.assert_allclose(solutions.z[lane], alone.z, atol=1e-4)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_equilibration_changes_units_only(seed):
+    """The scaled program costs, at a scaled point, what the given one costs at the point."""
+    program = random_program(seed)
+    scaled, scales = equilibrate(program)
+    z = jax.random.normal(jax.random.key(seed), program.gradient.shape)
+    np.testing.assert_allclose(
+        scaled.objective(z / scales.columns), scales.cost * program.objective(z), rtol=1e-10
+    )
+
+
+@pytest.mark.parametrize(("blocks", "size"), [(1, 3), (2, 1), (7, 4)])
+def test_block_tridiagonal_solves_the_dense_system(blocks, size):
+    random = np.random.default_rng(blocks)
+    above = random.standard_normal((blocks, size, size))
+    above[-1] = 0.0
+    root = random.standard_normal((blocks, size, size))
+    diagonal = root @ np.swapaxes(root, 1, 2) + 6.0 * size * np.eye(size)
+    dense = np.zeros((blocks * size, blocks * size))
+    for i in range(blocks):
+        at, beside = slice(i * size, (i + 1) * size), slice((i + 1) * size, (i + 2) * size)
+        dense[at, at] = diagonal[i]
+        if i + 1 < blocks:
+            dense[at, beside], dense[beside, at] = above[i], above[i].T
+    right = random.standard_normal((blocks, size))
+    factor = block_tridiagonal.factor(jnp.asarray(diagonal), jnp.asarray(above))
+    found = block_tridiagonal.solve(factor, jnp.asarray(right))
+    np.testing.assert_allclose(found.ravel(), np.linalg.solve(dense, right.ravel()), atol=1e-11)
+
+
+numbers = st.floats(-3.0, 3.0)
+inside = st.tuples(st.floats(1e-3, 5.0), numbers, numbers, numbers).map(
+    lambda v: jnp.array([[v[0] + float(np.linalg.norm(v[1:])), *v[1:]]])
+)
+
+
+@settings(deadline=None, max_examples=40)
+@given(inside, inside)
+def test_scaling_maps_both_points_to_one(s, y):
+    """W y = W^-1 s, W^2 y = s, and the Jordan division undoes the product."""
+    w = product.second_order_scaling(s, y)
+    size = float(jnp.max(jnp.abs(s)) + jnp.max(jnp.abs(y)))
+    np.testing.assert_allclose(w.apply(y), w.apply_inverse(s), atol=1e-7 * size)
+    np.testing.assert_allclose(w.square(y), s, atol=1e-6 * size)
+    np.testing.assert_allclose(w.inverse_square(w.square(y)), y, atol=1e-5 * size)
+    np.testing.assert_allclose(product.jordan_divide(s, product.jordan_product(s, y)), y, atol=1e-6 * size)
+
+
+@settings(deadline=None, max_examples=40)
+@given(inside, st.tuples(numbers, numbers, numbers, numbers))
+def test_step_ends_on_the_boundary(point, direction):
+    direction = jnp.array([direction])
+    step = float(product.step_to_boundary(point, direction)[0])
+    before, after = (point + share * min(step, 1e3) * direction for share in (0.999, 1.001))
+    assert float(product.determinant(before)[0]) > 0
+    if step < 1e3:
+        assert float(product.determinant(after)[0]) < 0 or float(after[0, 0]) < 0
+
+
+def test_iteration_limit_is_a_status():
+    solution = eqx.filter_jit(InteriorPoint(max_iterations=2))(random_program(0))
+    assert bool(solution.status == Status.iteration_limit)
+
+
+def test_derivatives_of_the_iterations_are_refused(solve):
+    program = random_program(0)
+
+    def cost(gradient, freeze):
+        moved = eqx.tree_at(lambda p: p.gradient, program, gradient)
+        return jnp.sum(solve(jax.lax.stop_gradient(moved) if freeze else moved).z)
+
+    with pytest.raises(TypeError, match="ConicLayer"):
+        jax.grad(cost)(program.gradient, False)
+    with pytest.raises(TypeError, match="ConicLayer"):
+        jax.jvp(lambda g: cost(g, False), (program.gradient,), (program.gradient,))
+    assert not jnp.any(jax.grad(cost)(program.gradient, True))

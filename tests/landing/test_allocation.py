@@ -1,0 +1,54 @@
+"""Which intervals belong to which polytope."""
+
+from itertools import pairwise
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from jaxscp import Planner, scenarios, status_names
+from jaxscp.landing.allocation import IN_LAST, allocate, route_positions
+from jaxscp.corridor.polytopes import box, connect
+
+
+def hall(lengths):
+    """Boxes one after another along x, of given lengths, that overlap by 10 cm."""
+    ends = np.concatenate([[0.0], np.cumsum(lengths)])
+    boxes = [box([a - 0.1, 0.0, 0.0], [b + 0.1, 2.0, 2.0]) for a, b in pairwise(ends)]
+    corridor = connect(boxes, joints=[[x, 1.0, 1.0] for x in ends[1:-1]])
+    return corridor, jnp.array([0.0, 1.0, 1.0]), jnp.array([ends[-1], 1.0, 1.0])
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.floats(0.2, 20.0), min_size=1, max_size=6), st.integers(8, 40))
+def test_every_polytope_has_intervals_in_order_and_the_last_enough_to_land(lengths, nodes):
+    cells = np.asarray(allocate(*hall(lengths), nodes))
+    counts = np.bincount(cells, minlength=len(lengths))
+    assert np.all(np.diff(cells) >= 0)
+    assert counts.sum() == nodes - 1
+    assert counts.min() >= 1
+    assert counts[-1] >= min(IN_LAST, nodes - len(lengths))
+
+
+def test_long_polytopes_have_more_intervals():
+    counts = np.bincount(np.asarray(allocate(*hall([2.0, 8.0, 4.0]), 40)))
+    assert counts[1] > counts[2] > counts[0]
+
+
+def test_route_is_evenly_spaced_within_each_polytope():
+    corridor, start, goal = hall([3.0, 6.0])
+    cells = allocate(corridor, start, goal, 20)
+    x = np.asarray(route_positions(corridor, start, goal, cells))[:, 0]
+    steps = np.diff(x)
+    for cell in (0, 1):
+        np.testing.assert_allclose(steps[np.asarray(cells) == cell], steps[np.asarray(cells) == cell][0])
+    np.testing.assert_allclose(x[[0, -1]], [0.0, 9.0])
+
+
+@pytest.mark.slow
+def test_a_few_nodes_are_enough_to_land():
+    """The cone's nodes must not fall to polytopes that the cone does not reach."""
+    solution = Planner(nodes=12)(scenarios.ascent_to_platform())
+    assert status_names(solution.status) == "converged"

@@ -1,0 +1,101 @@
+"""The method with second derivatives: local optima by an independent solver's account, safe between the nodes."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from benchmarks.rivals.convert import as_arrays
+from jaxscp import NewtonSCP, Planner, Status, acceptable, scenarios, status_names
+from jaxscp.verification.certificate import OPTIMALITY
+from jaxscp.backends.xla import options
+from jaxscp.scp.newton import SLACK
+from tests.support.flights import random_nodes, short_problem
+
+MISSIONS = {"platform": scenarios.platform_to_platform, "ascend": scenarios.ascent_to_platform}
+# Relative. Where short intervals lie is a choice with many local optima of nearly one cost, and who starts elsewhere
+# may end in another.
+SAME_COST = 2e-3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mission", MISSIONS)
+def test_optimal_by_ipopts_account_and_safe_between_nodes(mission):
+    optimum = pytest.importorskip("benchmarks.rivals.optimum", reason="needs CasADi")
+    planner = Planner()
+    for price in (0.0, 5.0):
+        scenario = eqx.tree_at(lambda s: s.weights.time, MISSIONS[mission](), jnp.asarray(price))
+        solution = planner(scenario)
+        assert status_names(solution.status) == "converged"
+        certificate = solution.certificate
+        assert float(certificate.position_error) < 1e-3
+        assert np.all(certificate.between_nodes <= certificate.allowed)
+        assert acceptable(certificate)
+        moving = eqx.tree_at(lambda c: c.optimality, certificate, 2.0 * jnp.asarray(OPTIMALITY))
+        assert not acceptable(moving)
+        best = optimum.best(optimum.Optimum(as_arrays(scenario, planner.nodes)).solve(starts=1))
+        assert abs(float(solution.cost) / best - 1.0) < SAME_COST
+
+
+@pytest.mark.slow
+def test_lanes_end_as_they_do_alone():
+    """Three vehicles, the second of them too heavy for its rotors."""
+    base = scenarios.ascent_to_platform()
+    masses = jnp.array([0.928, 40.0, 0.85])
+    make = lambda mass: eqx.tree_at(lambda s: s.airframe.body.mass, base, mass)  # noqa: E731
+    planner = Planner()
+    batch = jax.jit(jax.vmap(planner))(jax.vmap(make)(masses))
+    assert list(status_names(batch.status)) == ["converged", "invalid_input", "converged"]
+    for lane in (0, 2):
+        alone = planner(make(masses[lane]))
+        np.testing.assert_allclose(batch.cost[lane], alone.cost, rtol=SAME_COST)
+    assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(batch))
+
+
+def by_coarsest(act):
+    """A function of NewtonSCP with that accuracy of the first subproblem, and of more; compiled once."""
+
+    def function(coarsest, *more):
+        return act(eqx.tree_at(lambda method: method.coarsest, NewtonSCP(), coarsest), *more)
+
+    return jax.jit(function, compiler_options=options())
+
+
+@pytest.fixture(scope="module")
+def ascent():
+    """Problem and guess."""
+    setup = jax.jit(Planner(nodes=20).setup, compiler_options=options())
+    return setup(scenarios.ascent_to_platform())[:2]
+
+
+def test_coarse_subproblems_lead_to_an_optimum_of_the_same_cost(ascent):
+    run = by_coarsest(lambda method: method.run(*ascent))
+    coarse, exact = run(NewtonSCP().coarsest), run(0.0)
+    assert bool(coarse.reached)
+    assert bool(exact.reached)
+    steps = [int(state.history.conic_iterations.sum()) for state in (coarse, exact)]
+    assert steps[0] < 0.9 * steps[1]
+    np.testing.assert_allclose(coarse.cost, exact.cost, rtol=SAME_COST)
+
+
+def test_no_iterations_end_by_a_coarse_subproblem(ascent):
+    """Where nothing is asked for, nothing moves, which says nothing of the point."""
+    problem, z = ascent
+    step = by_coarsest(lambda method, state: method.step(problem, state, SLACK[0]))
+    state = jax.jit(NewtonSCP().init)(problem, z)
+    while not bool(state.near):
+        state = step(NewtonSCP().coarsest, state)
+    idle = step(1e9, state)
+    assert int(idle.history.conic_iterations[state.iterations]) == 0
+    assert not bool(idle.near)
+    assert bool(idle.status != Status.converged)
+
+
+def test_a_problem_that_carries_its_cost_as_a_state_is_refused():
+    problem = dataclasses.replace(short_problem(), carries_cost=True)
+    z = random_nodes(problem, 0)
+    with pytest.raises(ValueError, match="carries_cost"):
+        NewtonSCP().init(problem, z)

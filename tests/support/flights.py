@@ -1,0 +1,39 @@
+"""Short flights that are nobody's plan: enough to test derivatives and identities on."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+
+import jaxscp
+from jaxscp import scenarios
+from jaxscp.landing.allocation import allocate
+from jaxscp.landing.problem import landing_problem
+
+NODES = 8
+
+
+def short_problem(everything=False):
+    """Case 1; with limits, zones and a moving deck too, if asked for."""
+    scenario = scenarios.platform_to_platform()
+    if everything:
+        scenario = dataclasses.replace(
+            scenario,
+            limits=jaxscp.flight_limits(speed=6.0, tilt=0.9, body_rate=5.0, thrust_rate=20.0),
+            keep_out=jaxscp.ellipsoids(
+                [[1.0, 2.0, 1.0], [3.0, 1.0, 2.0]], [[0.5, 0.4, 0.3], [0.2, 0.2, 0.2]]
+            ),
+            deck_velocity=jnp.array([0.1, 0.0, 0.0]),
+        )
+    allocation = allocate(scenario.corridor, scenario.start.position, scenario.goal.position, NODES)
+    return landing_problem(scenario, allocation)
+
+
+def random_nodes(problem, seed):
+    """Nodes of a lively flight: metres a second, radians a second, and thrusts all over their range."""
+    random = np.random.default_rng(seed)
+    states = random.standard_normal((NODES, 13)) * ([1.0] * 3 + [3.0] * 3 + [0.2] * 4 + [2.0] * 3)
+    states[:, 6:10] += [1.0, 0.0, 0.0, 0.0]
+    states[:, 6:10] /= np.linalg.norm(states[:, 6:10], axis=1, keepdims=True)
+    controls, dilation = random.uniform(0.5, 4.0, (NODES, 4)), random.uniform(1.0, 2.0, NODES)
+    return problem.join(jnp.asarray(states), jnp.asarray(controls), jnp.asarray(dilation))

@@ -1,0 +1,57 @@
+"""Kernels that are written from tapes without a GPU: compiled for a CPU, where threads run one after another."""
+
+import ctypes
+import functools
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+
+import jax
+import pytest
+
+from jaxscp.backends import libraries
+from jaxscp.backends import cuda
+from jaxscp.backends.codegen import launch
+
+HERE = Path(__file__).parent
+COMPILER = shutil.which("g++")
+needs_compiler = pytest.mark.skipif(COMPILER is None, reason="no g++ to compile the kernel for this machine")
+needs_nvidia = pytest.mark.skipif(
+    cuda.compiler() is None, reason="needs NVIDIA's run-time compiler (extra cuda)"
+)
+
+
+def compile_here(source, library, *options):
+    """A shared library of what is in a file."""
+    headers = ["-isystem", jax.ffi.include_dir(), f"-I{HERE}"]
+    flags = ["-std=c++20", "-O0", "-fPIC", "-w", "-shared", *options]
+    subprocess.run([COMPILER, *flags, *headers, str(source), "-o", str(library)], check=True)
+
+
+@functools.cache
+def handler() -> str:
+    """The name of what has a kernel called on a CPU."""
+    name = "jaxscp_test_sweep"
+    with tempfile.TemporaryDirectory() as folder:
+        library = Path(folder) / "handler.so"
+        compile_here(HERE / "sweep_on_a_cpu.cc", library)
+        assert libraries.register(ctypes.CDLL(str(library)), launch.TARGET, target=name)
+    return name
+
+
+def compiled(text: str, folder: Path, words: str = "threads_on_a_cpu.h") -> bytes:
+    """What stands for a kernel's machine code: the file of its library, with CUDA's words from a header."""
+    source, library = folder / "kernel.cc", folder / "kernel.so"
+    source.write_text(text)
+    compile_here(source, library, "-include", words)
+    return str(library).encode()
+
+
+def as_on_a_gpu(monkeypatch) -> None:
+    """As on a machine with a GPU, to trace there; kernels have any image."""
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    monkeypatch.setattr(cuda, "capability", lambda: "90")
+    monkeypatch.setattr(cuda, "launches", lambda _: True)
+    monkeypatch.setattr(cuda, "compiler", lambda: "one")
+    monkeypatch.setattr(launch, "image", lambda *_: b"an image")

@@ -1,0 +1,44 @@
+"""Intervals to second order: what one sweep through the stages says, against automatic differentiation of the whole."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxscp.transcription.layout import interval_inputs
+from jaxscp.transcription.shooting import expand
+from jaxscp.transcription.shooting import Grid, active_points, evaluate, linearise
+from jaxscp.transcription.lagrangian import no_multipliers
+from tests.support.flights import random_nodes, short_problem
+
+ROUNDING = 1e-10
+
+
+@pytest.mark.parametrize("grid", [Grid(), Grid(points=3, steps=2)])
+def test_it_is_what_automatic_differentiation_says(grid):
+    problem, random = short_problem(), np.random.default_rng(0)
+    z = random_nodes(problem, 1)
+    zeros = no_multipliers(problem, z, grid)
+    y = jax.tree.map(lambda v: jnp.asarray(random.standard_normal(v.shape)), zeros)
+
+    def lagrangian(z):
+        out = evaluate(problem, z, grid)
+        total = jnp.sum(out.cost) + jnp.vdot(y.flow, out.end)
+        for c, price, v in zip(problem.constraints, y.by_interval(), out.values, strict=True):
+            total -= jnp.sum(jnp.where(active_points(c, v.shape[1])[:, :, None], price * v, 0.0))
+        return total
+
+    @jax.jit
+    def along(d):
+        """Second derivatives times a direction."""
+        return jax.jvp(jax.grad(lagrangian), (z,), (d,))[1]
+
+    linear, curvature = jax.jit(lambda z: expand(problem, z, y, grid))(z)
+    for _ in range(3):
+        d, e = (jnp.asarray(random.standard_normal(z.shape)) for _ in range(2))
+        v, w = interval_inputs(problem, d), interval_inputs(problem, e)
+        expected = jnp.vdot(e, along(d))
+        np.testing.assert_allclose(jnp.einsum("iw,iwv,iv->", w, curvature, v), expected, rtol=ROUNDING)
+    plain = jax.jit(lambda z: linearise(problem, z, grid))(z)
+    for a, b in zip(jax.tree.leaves(linear), jax.tree.leaves(plain), strict=True):
+        np.testing.assert_allclose(a, b, rtol=ROUNDING, atol=ROUNDING)

@@ -1,0 +1,22 @@
+"""What the judge says where there is no flight to judge."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxscp import Planner, acceptable, scenarios
+from jaxscp.verification.certificate import certify
+from jaxscp.transcription.layout import trajectory_of
+
+TUMBLING = 1e6  # N of one rotor: far more turns an interval than the integration may take steps
+
+
+def test_a_flight_that_cannot_be_integrated_is_infinitely_bad():
+    problem, z, _ = Planner(nodes=10).setup(scenarios.ascent_to_platform())
+    trajectory = trajectory_of(problem, z.at[:, problem.state_size].add(TUMBLING))
+    certificate = jax.jit(certify, static_argnums=2)(problem, trajectory, 10)
+    assert not bool(acceptable(certificate))
+    assert np.isinf(certificate.position_error)
+    assert np.isinf(certificate.violation)
+    for leaf in jax.tree.leaves(certificate):
+        assert not bool(jnp.any(jnp.isnan(leaf)))
