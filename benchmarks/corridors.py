@@ -23,8 +23,20 @@ from jaxtyping import Array, Bool, ScalarLike
 from scipy.spatial import KDTree
 
 from jaxscp import LandingScenario, Planner, at_rest, status_names
-from jaxscp.corridor import synthetic_maps
-from jaxscp.corridor import CorridorResult, Decomposition, EllipsoidDecomposition, InflationFIRI, NoRoute, Polytope, build_corridor, chain, find_route, pad, read_cloud
+from jaxscp.corridor import (
+    CorridorResult,
+    Decomposition,
+    EllipsoidDecomposition,
+    InflationFIRI,
+    NoRoute,
+    Polytope,
+    build_corridor,
+    chain,
+    find_route,
+    pad,
+    read_cloud,
+    synthetic_maps,
+)
 from jaxscp.corridor.build import legs
 from jaxscp.corridor.cells import cells_along, consecutive_overlaps
 from jaxscp.corridor.decompose import Seed

@@ -30,13 +30,15 @@ import numpy as np  # noqa: E402
 import jaxscp  # noqa: E402
 from benchmarks.speed.timing import elapsed, median_seconds  # noqa: E402
 from jaxscp import LandingScenario, scenarios  # noqa: E402
-from jaxscp.nlp.central_path import MU, Point  # noqa: E402
-from jaxscp.problem.problem import terminal_cost  # noqa: E402
-from jaxscp.nlp.interior_point import Interior  # noqa: E402
-from jaxscp.transcription.shooting import evaluate  # noqa: E402
 from jaxscp.landing.problem import landing_problem  # noqa: E402
-from jaxscp.problem.problem import node_times  # noqa: E402
-from jaxscp.nlp.sensitivity import follow  # noqa: E402
+from jaxscp.nlp.central_path import MU, Point  # noqa: E402
+from jaxscp.nlp.interior_point import NLPInteriorPoint  # noqa: E402
+from jaxscp.nlp.sensitivity import implicit_solution  # noqa: E402
+from jaxscp.problem.problem import (
+    node_times,  # noqa: E402
+    terminal_cost,  # noqa: E402
+)
+from jaxscp.transcription.shooting import evaluate  # noqa: E402
 from tests.support.random_instances import bare, random_instances  # noqa: E402
 
 NODES = 30
@@ -44,7 +46,7 @@ STEPS = (1e-5, 1e-6, 1e-7, 2e-8)  # of a leaf's size; a goal on a floor has a mi
 STENCIL = np.array([1.0, -1.0, 2.0, -2.0])  # steps
 FOURTH, SECOND = np.array([8.0, -8.0, -1.0, 1.0]) / 12.0, np.array([1.0, -1.0, 0.0, 0.0]) / 2.0  # orders
 # the problem solved again, as far as rounding lets it
-AGAIN = Interior(first=MU, tolerance=1e-12, max_steps=10)
+AGAIN = NLPInteriorPoint(first=MU, tolerance=1e-12, max_steps=10)
 SOLVED = 1e-8  # residual at which it counts as solved, as the planner's own
 # of the largest derivative of an output over all leaves: smaller ones are judged relative to that
 SMALLEST = 1e-3
@@ -96,7 +98,7 @@ def implicit(scenario, solution, change):
 
     def of(scenario):
         problem = landing_problem(scenario, solution.allocation)
-        found = follow(problem, point, METHOD.grid, solution.differentiable)
+        found = implicit_solution(problem, point, METHOD.grid, solution.differentiable)
         return outputs(problem, found.z), found
 
     return jax.jvp(of, (scenario,), (change,))[1]

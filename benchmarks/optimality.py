@@ -226,7 +226,7 @@ def compare(instances: int, starts: int, workers: int, file: Path | None, echo: 
 
 def before_and_after(cases: list[Case], plans: list[Ours], echo: Any) -> list[dict[str, Any]]:
     """Where the paper's method stops from the same guess, and what it violates between its nodes."""
-    published = jaxscp.Planner(nodes=NODES, method=jaxscp.SCP())
+    published = jaxscp.Planner(nodes=NODES, method=jaxscp.PTR())
     compile_for(published, cases)
     echo(f"{'':24} {'paper':>8} {'ours':>8} {'paper mm':>9} {'ours mm':>8}")
     rows = []

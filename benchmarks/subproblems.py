@@ -24,17 +24,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxscp import SCP, NormTrustRegion, ProximalTrustRegion, scenarios, status_names
-from jaxscp.landing.allocation import allocate
+from jaxscp import PTR, NormTrustRegion, ProximalTrustRegion, scenarios, status_names
 from jaxscp.conic import OSQP, ConicSolution, StagedProgram, export
 from jaxscp.conic.interior_point import InteriorPoint
 from jaxscp.conic.osqp import status_of
 from jaxscp.conic.quadratic import QuadraticProgram
-from jaxscp.scp.nodal_subproblem import convexify
+from jaxscp.landing.allocation import allocate
 from jaxscp.landing.guess import Units, guess_program, guess_time, initial_guess
 from jaxscp.landing.problem import landing_problem
 from jaxscp.landing.scenario import LandingScenario
 from jaxscp.problem.problem import OptimalControlProblem
+from jaxscp.scp.nodal_subproblem import convexify
 
 NODES = 30
 MISSIONS = {"platform": scenarios.platform_to_platform, "ascend": scenarios.ascent_to_platform}
@@ -146,7 +146,7 @@ def _prepared(scenario: LandingScenario):
 @cache
 def _steps(mode: str):
     """Compiled parts of one iteration; the solution is an argument, so that no solver is compiled in."""
-    method = SCP(trust_region=MODES[mode])
+    method = PTR(trust_region=MODES[mode])
 
     @jax.jit
     def linearise(problem, state):
@@ -154,7 +154,7 @@ def _steps(mode: str):
 
     @jax.jit
     def advance(problem, state, solution):
-        given = SCP(trust_region=MODES[mode], conic=lambda *_: solution)
+        given = PTR(trust_region=MODES[mode], conic=lambda *_: solution)
         return given.step(problem, state)
 
     return jax.jit(method.init), linearise, advance

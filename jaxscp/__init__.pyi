@@ -28,7 +28,7 @@ from .problem.trajectory import Trajectory as Trajectory
 from .scp.newton import NewtonSCP as NewtonSCP
 from .scp.nodal_subproblem import NormTrustRegion as NormTrustRegion
 from .scp.nodal_subproblem import ProximalTrustRegion as ProximalTrustRegion
-from .scp.ptr import SCP as SCP
+from .scp.ptr import PTR as PTR
 from .solver.solution import Solution as Solution
 from .verification.certificate import Certificate as Certificate
 from .verification.certificate import acceptable as acceptable

@@ -27,7 +27,7 @@ from jaxscp.landing.scenario import LandingScenario, at_rest
 from jaxscp.landing.validation import InvalidScenario, validate
 from jaxscp.planner.planner import Planner
 from jaxscp.scp.nodal_subproblem import NormTrustRegion, ProximalTrustRegion
-from jaxscp.scp.ptr import SCP
+from jaxscp.scp.ptr import PTR
 from jaxscp.solver.solution import Solution
 
 CASES: dict[str, Callable[[], LandingScenario]] = {
@@ -39,9 +39,9 @@ MODES: dict[str, Callable[[int], Planner]] = {
     # second derivatives, safe between nodes
     "default": lambda nodes: Planner(nodes=nodes),
     # Table I of the paper
-    "paper": lambda nodes: Planner(nodes=nodes, method=SCP(NormTrustRegion(10.0), virtual_weight=1000.0)),
+    "paper": lambda nodes: Planner(nodes=nodes, method=PTR(NormTrustRegion(10.0), virtual_weight=1000.0)),
     # a light weight takes long steps, many of them
-    "proximal": lambda nodes: Planner(nodes=nodes, method=SCP(ProximalTrustRegion(0.02), max_iterations=200)),
+    "proximal": lambda nodes: Planner(nodes=nodes, method=PTR(ProximalTrustRegion(0.02), max_iterations=200)),
 }
 
 # quantity of the history -> heading, format

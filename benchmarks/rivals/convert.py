@@ -10,17 +10,24 @@ from jaxtyping import Array, Float
 from scipy.integrate import simpson
 
 from benchmarks.rivals.problem import Flags, Floats, LandingArrays, extended_controls
-from jaxscp.landing.allocation import allocate
-from jaxscp.problem.constraint import Constraint, repeat_over_nodes
-from jaxscp.landing.constraints import HalfSpaces, LandingCone, Limits, inside_half_spaces, inside_landing_cone, within_control_limits
 from jaxscp.cones.cone import NonNegative, SecondOrder
-from jaxscp.scp.nodal_subproblem import PAPER_NODES, NormTrustRegion
 from jaxscp.dynamics.rigid_body import RigidBody
+from jaxscp.landing.allocation import allocate
+from jaxscp.landing.constraints import (
+    HalfSpaces,
+    LandingCone,
+    Limits,
+    inside_half_spaces,
+    inside_landing_cone,
+    within_control_limits,
+)
 from jaxscp.landing.guess import initial_guess
 from jaxscp.landing.problem import effort, flight_time, landing_problem
 from jaxscp.landing.scenario import LandingScenario, Weights
+from jaxscp.problem.constraint import Constraint, repeat_over_nodes
 from jaxscp.problem.problem import Boundary, FixedComponents, OptimalControlProblem, fixed_components
-from jaxscp.scp.ptr import SCP
+from jaxscp.scp.nodal_subproblem import PAPER_NODES, NormTrustRegion
+from jaxscp.scp.ptr import PTR
 
 
 def as_problem(arrays: LandingArrays) -> tuple[OptimalControlProblem, Float[Array, "nodes variables"]]:
@@ -51,9 +58,9 @@ def as_problem(arrays: LandingArrays) -> tuple[OptimalControlProblem, Float[Arra
     return problem, jnp.asarray(_node_variables(arrays))
 
 
-def as_method(arrays: LandingArrays) -> SCP:
+def as_method(arrays: LandingArrays) -> PTR:
     """Algorithm 1 with the settings that the arrays hold."""
-    return SCP(
+    return PTR(
         trust_region=NormTrustRegion(arrays.weight_trust * arrays.nodes / PAPER_NODES),
         virtual_weight=arrays.weight_virtual,
         tolerance_virtual=arrays.tolerance_virtual,
@@ -63,9 +70,9 @@ def as_method(arrays: LandingArrays) -> SCP:
     )
 
 
-def as_arrays(scenario: LandingScenario, nodes: int, method: SCP | None = None) -> LandingArrays:
+def as_arrays(scenario: LandingScenario, nodes: int, method: PTR | None = None) -> LandingArrays:
     """A scenario and its initial guess as the rivals' arrays; by default with the paper's settings."""
-    method = SCP() if method is None else method
+    method = PTR() if method is None else method
     assert isinstance(method.trust_region, NormTrustRegion), "the published stack knows no other trust region"
     problem, guess = _problem_and_guess(scenario, nodes)
     body, frame = scenario.airframe.body, scenario.airframe

@@ -13,8 +13,8 @@ import numpy as np
 
 from benchmarks.speed.batches import REPEATS, instances
 from benchmarks.speed.timing import elapsed
-from jaxscp import SCP, Planner
-from jaxscp.conic.program import Near
+from jaxscp import PTR, Planner
+from jaxscp.conic.program import WarmStart
 from jaxscp.scp.nodal_subproblem import convexify
 
 FLIGHTS = 64  # distinct ones; more lanes have the same again
@@ -23,7 +23,7 @@ SUBPROBLEMS = 5  # of a plan
 
 def run(echo: Callable[[str], None], nodes: int, lanes: int) -> dict[str, Any]:
     """The first subproblems of a plan, one after another, and all of them together."""
-    method = SCP()
+    method = PTR()
     solve = jax.jit(jax.vmap(method.conic.iterate))
     device = jax.devices()[0]
     rows = []
@@ -40,7 +40,7 @@ def run(echo: Callable[[str], None], nodes: int, lanes: int) -> dict[str, Any]:
     }
 
 
-def recorded(method: SCP, nodes: int, flights: int) -> list[Any]:
+def recorded(method: PTR, nodes: int, flights: int) -> list[Any]:
     """What the interior point is given of the subproblems of as many plans: programs, accuracies, and points
     that are thought near; on the host."""
     planner = Planner(nodes=nodes, method=method)
@@ -50,7 +50,7 @@ def recorded(method: SCP, nodes: int, flights: int) -> list[Any]:
         return (
             program,
             jnp.maximum(method.conic.tolerance, method.accuracy(state)),
-            Near(state.z, state.prices),
+            WarmStart(state.z, state.prices),
         )
 
     with jax.default_device(jax.devices("cpu")[0]):

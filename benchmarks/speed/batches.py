@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks.speed.scaling import memory
 from benchmarks.speed.timing import elapsed
-from jaxscp import SCP, LandingScenario, Planner, Solution, Status
+from jaxscp import PTR, LandingScenario, Planner, Solution, Status
 from jaxscp.landing.scenarios import platform_to_platform
 from tests.support.random_instances import bare, random_instances
 
@@ -40,7 +40,7 @@ def run(echo: Callable[[str], None], nodes: int, lanes: int, total: int) -> dict
     """The batch asked for first, then as many instances in one call by chunks, then smaller batches."""
     device = jax.devices()[0]
     echo(f"{device.device_kind}: the paper's mode, {nodes} nodes, float64; every instance another corridor")
-    planner = Planner(nodes=nodes, method=SCP())
+    planner = Planner(nodes=nodes, method=PTR())
     main, compiled = at_once(planner, lanes, echo)
     chunked = by_chunks(compiled, lanes, total, echo) if total > lanes else None
     rows = {size: at_once(planner, size, echo)[0] for size in sizes_up_to(lanes)[:-1]}

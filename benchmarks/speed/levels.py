@@ -10,11 +10,11 @@ import numpy as np
 
 from benchmarks.speed.apart import Apart, in_turns
 from benchmarks.speed.timing import elapsed
-from jaxscp import SCP, NewtonSCP, Planner, scenarios
+from jaxscp import PTR, NewtonSCP, Planner, scenarios
 from jaxscp.backends import libraries
 from jaxscp.conic import native
 
-METHODS = {"paper": SCP, "default": NewtonSCP}
+METHODS = {"paper": PTR, "default": NewtonSCP}
 INSTRUCTIONS = {"v4": "AVX-512", "v3": "AVX2", "any": "baseline", "none": "XLA alone"}
 CALLS = 5  # of a turn
 

@@ -17,29 +17,26 @@ import numpy as np
 
 from benchmarks.speed.arithmetic import flops, flops_of_loop
 from benchmarks.speed.timing import Ceiling, Loop, ceiling, least_seconds
-from jaxscp import SCP, LandingScenario, NewtonSCP, Planner
-from jaxscp.linalg import riccati
-from jaxscp.scp.active_set import active_set, slacks
-from jaxscp.verification.certificate import certify
+from jaxscp import PTR, LandingScenario, NewtonSCP, Planner
 from jaxscp.cones import product
 from jaxscp.conic import kkt, native
 from jaxscp.conic.equilibrate import equilibrate
-from jaxscp.scp.nodal_subproblem import convexify
-from jaxscp.problem.problem import terminal_cost
-from jaxscp.scp.second_order_correction import corrected, correction
-from jaxscp.scp.hessian_convexification import Chain, condensed, projected
-from jaxscp.transcription.discretise import discretise
-from jaxscp.transcription.shooting import expand
-from jaxscp.nlp.newton_system import local, newton_chain, scaled, scalings, weighed
-from jaxscp.transcription.shooting import evaluate
-from jaxscp.transcription.lagrangian import residual
-from jaxscp.scp.subproblem import lifted_program
-from jaxscp.transcription.layout import stage_sizes
-from jaxscp.transcription.layout import trajectory_of
-from jaxscp.problem.problem import typical_sizes
 from jaxscp.landing.scenarios import platform_to_platform
-from jaxscp.solver.solution import Solution
 from jaxscp.landing.validation import validate
+from jaxscp.linalg import riccati
+from jaxscp.nlp.newton_system import local, newton_chain, scaled, scalings, weighed
+from jaxscp.problem.problem import terminal_cost, typical_sizes
+from jaxscp.scp.active_set import active_set, slacks
+from jaxscp.scp.hessian_convexification import LinearDynamics, condensed, projected
+from jaxscp.scp.nodal_subproblem import convexify
+from jaxscp.scp.second_order_correction import corrected, correction
+from jaxscp.scp.subproblem import lifted_program
+from jaxscp.solver.solution import Solution
+from jaxscp.transcription.discretise import discretise
+from jaxscp.transcription.lagrangian import residual
+from jaxscp.transcription.layout import stage_sizes, trajectory_of
+from jaxscp.transcription.shooting import evaluate, linearise_with_hessian
+from jaxscp.verification.certificate import certify
 
 Echo = Callable[[str], None]
 
@@ -83,7 +80,7 @@ def profile(planner: Planner, scenario: LandingScenario, machine: Ceiling, echo:
 
 
 def _describe(planner: Planner) -> str:
-    return "paper's mode" if isinstance(planner.method, SCP) else "default mode"
+    return "paper's mode" if isinstance(planner.method, PTR) else "default mode"
 
 
 def _newton_steps(solution: Solution) -> int:
@@ -128,7 +125,7 @@ def _all_pieces(pieces: Pieces, planner: Planner, scenario: LandingScenario, sol
     request = least_seconds(lambda: validate(scenario, planner.nodes))
     pieces.add(Piece("check of the request, in NumPy", 1, request, np.nan))
     problem, z, _ = pieces.time("guess and problem", 1, planner.setup, scenario, count=False)
-    if isinstance(planner.method, SCP):
+    if isinstance(planner.method, PTR):
         _paper_pieces(pieces, planner.method, problem, z, solution)
     else:
         _default_pieces(pieces, planner.method, problem, z, solution)
@@ -136,7 +133,7 @@ def _all_pieces(pieces: Pieces, planner: Planner, scenario: LandingScenario, sol
     pieces.time("certificate", 1, lambda p, t: certify(p, t, planner.samples), problem, flown, count=False)
 
 
-def _paper_pieces(pieces: Pieces, method: SCP, problem: Any, z: Any, solution: Solution) -> None:
+def _paper_pieces(pieces: Pieces, method: PTR, problem: Any, z: Any, solution: Solution) -> None:
     count = int(solution.iterations)
     flow = pieces.time("discretise", count + 1, lambda p, z: discretise(p, z, method.substeps), problem, z)
 
@@ -187,13 +184,18 @@ def _default_pieces(pieces: Pieces, method: NewtonSCP, problem: Any, z: Any, sol
     count, grid = int(solution.iterations), method.grid
     y = solution.multipliers  # with those of the guess, which are zero, curvature would be easy to clip
     linear, curvature = pieces.time(
-        "expand to second order", count + 1, lambda p, z, y: expand(p, z, y, grid), problem, z, y
+        "expand to second order",
+        count + 1,
+        lambda p, z, y: linearise_with_hessian(p, z, y, grid),
+        problem,
+        z,
+        y,
     )
     scale = stage_sizes(problem, typical_sizes(z))
     hessian, n = curvature * scale * scale[:, None], problem.state_size
     convex = pieces.time("curvature: clip", count, projected, hessian)
     defect = residual(linear.outputs, terminal_cost(problem, z), z).defect
-    chain = Chain(linear.jacobian.end * scale / scale[:n, None], defect / scale[:n])
+    chain = LinearDynamics(linear.jacobian.end * scale / scale[:n, None], defect / scale[:n])
     times = _condensed_times(method, problem, z, count)
     pieces.time("curvature: condense", times, condensed, hessian, chain, jnp.eye(problem.variables))
 
@@ -264,6 +266,6 @@ def run(echo: Echo, nodes: int = 30) -> dict[str, Any]:
     scenario, machine = platform_to_platform(), ceiling()
     echo(machine.report())
     found: dict[str, Any] = {"peak_flops": machine.flops, "bandwidth": machine.bandwidth}
-    for name, method in (("paper", SCP()), ("default", NewtonSCP())):
+    for name, method in (("paper", PTR()), ("default", NewtonSCP())):
         found[name] = profile(Planner(nodes=nodes, method=method), scenario, machine, echo)
     return found

@@ -9,9 +9,9 @@ import jax
 import jax.numpy as jnp
 
 from benchmarks.speed.timing import least_in_turns
-from jaxscp import SCP, LandingScenario, Planner
-from jaxscp.problem.problem import OptimalControlProblem
+from jaxscp import PTR, LandingScenario, Planner
 from jaxscp.landing.scenarios import platform_to_platform
+from jaxscp.problem.problem import OptimalControlProblem
 
 NODES, FACES = (15, 30, 60, 120, 240), (6, 12, 18, 24)
 STANDARD, TURNS = 30, 12  # nodes; times that each size is solved
@@ -30,7 +30,7 @@ class Size:
     @classmethod
     def of(cls, name: str, scenario: LandingScenario, nodes: int) -> "Size":
         """Compile."""
-        planner = Planner(nodes=nodes, method=SCP())
+        planner = Planner(nodes=nodes, method=PTR())
         problem, z, _ = jax.jit(planner.setup)(scenario)
         return cls(name, jax.jit(planner.method.run).lower(problem, z).compile(), problem, z)
 

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-METHODS = {"paper": "jaxscp.SCP()", "default": "jaxscp.NewtonSCP()"}
+METHODS = {"paper": "jaxscp.PTR()", "default": "jaxscp.NewtonSCP()"}
 FIRST = "default"  # whose times are the benchmark's
 IMPORT = """
 import jax

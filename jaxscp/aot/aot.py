@@ -13,7 +13,7 @@ import equinox as eqx
 import jax
 from jax.core import Tracer
 
-from jaxscp.aot.pytree_spec import Description, describe, difference
+from jaxscp.aot.pytree_spec import Description, difference, spec_of
 from jaxscp.backends.xla import options
 from jaxscp.landing.scenario import LandingScenario
 from jaxscp.landing.validation import check_types, named_leaves, validate
@@ -110,7 +110,7 @@ class CompiledPlanner:
         else:
             one = _one_lane(scenario, self.lanes)
             check_types(one, self.nodes)
-        differs = difference(self.scenario, describe(without_obstacles(one)))
+        differs = difference(self.scenario, spec_of(without_obstacles(one)))
         if differs:
             raise TypeError(f"the planner was compiled for scenarios of another shape: {differs}")
 
@@ -135,7 +135,7 @@ def plan_ahead(
     for part in parts:
         program, shapes = _program(part if lanes is None else jax.vmap(part), shapes)
         programs.append(program)
-    return Plan(nodes, lanes, describe(bare), shapes, *programs)
+    return Plan(nodes, lanes, spec_of(bare), shapes, *programs)
 
 
 def compiled(plan: Plan) -> CompiledPlanner:

@@ -12,7 +12,7 @@ from jax.experimental import serialize_executable
 from jaxscp.aot.aot import Plan, Program, side_by_side
 from jaxscp.aot.archive import COMPILED, FORMAT, PROGRAMS, machine
 from jaxscp.aot.cache_folder import without_cache
-from jaxscp.aot.pytree_spec import describe
+from jaxscp.aot.pytree_spec import spec_of
 
 
 def programs_of(plan: Plan) -> dict[str, jax.stages.Compiled]:
@@ -37,7 +37,7 @@ def write(
         "nodes": plan.nodes,
         "lanes": plan.lanes,
         "scenario": plan.scenario,
-        "solution": describe(plan.solution),
+        "solution": spec_of(plan.solution),
         "arguments": {name: len(program.shapes) for name, program in plan.programs.items()},
         "results": {
             "setup": len(plan.solve.shapes),

@@ -16,7 +16,7 @@ import jax
 from jaxscp.aot import archive, cache_folder, export
 from jaxscp.aot.aot import CompiledPlanner, compiled, with_programs, without_obstacles
 from jaxscp.aot.load import load
-from jaxscp.aot.pytree_spec import Description, describe
+from jaxscp.aot.pytree_spec import Description, spec_of
 from jaxscp.backends.xla import inside, options
 from jaxscp.landing.scenario import LandingScenario
 
@@ -67,7 +67,7 @@ def _kept(
 def _file(folder: pathlib.Path, planner: Planner, like: LandingScenario) -> pathlib.Path | None:
     """None for what cannot be kept."""
     try:
-        parts = [describe(planner), describe(like)]
+        parts = [spec_of(planner), spec_of(like)]
     except TypeError:
         return None
     return folder / f"planner-{_digest(parts)}.jaxscp" if _ours(parts) else None

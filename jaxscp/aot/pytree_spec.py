@@ -1,7 +1,7 @@
 """What a pytree of this library looks like, as plain data: to compare two of them, and to store one in a file.
 
 A description is made of dicts, lists, strings and numbers, which JSON holds: a class with its fields, a tuple with its
-items, an array with its shape and dtype. Classes are named, never stored: ``prototype`` builds only those it is given.
+items, an array with its shape and dtype. Classes are named, never stored: ``zeros_of`` builds only those it is given.
 """
 
 import dataclasses
@@ -20,22 +20,22 @@ Description = Any
 _STATUS = type(Status.converged)
 
 
-def describe(tree: Any) -> Description:
+def spec_of(tree: Any) -> Description:
     """Classes, fields, shapes and dtypes of a pytree whose leaves are arrays or ``jax.ShapeDtypeStruct``.
 
     Example:
         >>> import jaxscp
-        >>> from jaxscp.aot.pytree_spec import describe
-        >>> describe(jaxscp.fixed().position)
+        >>> from jaxscp.aot.pytree_spec import spec_of
+        >>> spec_of(jaxscp.fixed().position)
         {'shape': [3], 'dtype': 'float64'}
     """
     if isinstance(tree, _STATUS):
-        return {"status": describe(jax.tree.leaves(tree)[0])}
+        return {"status": spec_of(jax.tree.leaves(tree)[0])}
     if isinstance(tree, eqx.Module):
-        parts = {field.name: describe(getattr(tree, field.name)) for field in dataclasses.fields(tree)}
+        parts = {field.name: spec_of(getattr(tree, field.name)) for field in dataclasses.fields(tree)}
         return {"class": f"{type(tree).__module__}.{type(tree).__qualname__}", "fields": parts}
     if isinstance(tree, tuple):
-        return {"items": [describe(item) for item in tree]}
+        return {"items": [spec_of(item) for item in tree]}
     if tree is None or isinstance(tree, str | bool | int | float):
         return {"value": tree}
     if hasattr(tree, "shape") and hasattr(tree, "dtype"):
@@ -43,7 +43,7 @@ def describe(tree: Any) -> Description:
     raise TypeError(f"a {type(tree).__name__} cannot be described")
 
 
-def prototype(description: Description, classes: Iterable[type]) -> Any:
+def zeros_of(description: Description, classes: Iterable[type]) -> Any:
     """A pytree of zeros that looks as described, built by the constructors of these classes and no other.
 
     Raises:
@@ -70,9 +70,9 @@ def difference(expected: Description, found: Description, name: str = "") -> str
 
     Example:
         >>> import jax.numpy as jnp, jaxscp
-        >>> from jaxscp.aot.pytree_spec import describe, difference
+        >>> from jaxscp.aot.pytree_spec import spec_of, difference
         >>> slow, any_speed = jaxscp.flight_limits(speed=3.0), jaxscp.flight_limits()
-        >>> difference(describe(slow), describe(any_speed))
+        >>> difference(describe(slow), spec_of(any_speed))
         'speed: float64 of shape () expected, got None'
     """
     if expected == found:

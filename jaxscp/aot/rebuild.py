@@ -8,14 +8,14 @@ import jax
 
 from jaxscp.aot.aot import CompiledPlanner, Program, side_by_side
 from jaxscp.aot.archive import PROGRAMS, Archive, InvalidExport
-from jaxscp.aot.pytree_spec import prototype
-from jaxscp.problem.multipliers import FlightMultipliers
+from jaxscp.aot.pytree_spec import zeros_of
+from jaxscp.problem.multipliers import Multipliers
 from jaxscp.problem.trajectory import Trajectory
 from jaxscp.scp.history import History
 from jaxscp.solver.solution import Solution
 from jaxscp.verification.certificate import Certificate
 
-_CLASSES = (Solution, Trajectory, FlightMultipliers, Certificate, History)
+_CLASSES = (Solution, Trajectory, Multipliers, Certificate, History)
 
 
 def planner(
@@ -24,7 +24,7 @@ def planner(
     """The planner whose programs are being loaded, or without them are compiled from their portable form."""
     header = archive.header
     try:
-        solution = prototype(header["solution"], _CLASSES)
+        solution = zeros_of(header["solution"], _CLASSES)
     except (KeyError, TypeError) as error:
         raise InvalidExport(f"{file}: from another version of jaxscp; export the planner again.") from error
     programs = {name: begun[name].result() for name in PROGRAMS} if begun else _compiled_anew(archive)

@@ -32,7 +32,7 @@ def options() -> dict[str, Any]:
     return wanted
 
 
-class quickly:
+class jit_with_options:
     """``jax.jit``, with these options where a call is compiled by itself and is not part of another program.
 
     A decorator.

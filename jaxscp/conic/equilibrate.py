@@ -9,7 +9,15 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxscp.conic.program import Cones, Links, Multipliers, Near, NormCost, Rows, StagedProgram
+from jaxscp.conic.program import (
+    Cones,
+    ConicMultipliers,
+    CouplingRows,
+    HalfSpaceRows,
+    NormCost,
+    StagedProgram,
+    WarmStart,
+)
 from jaxscp.core.types import Scalar
 
 _LOWEST, _HIGHEST = 1e-4, 1e4  # limits on each scale, as in OSQP and Clarabel
@@ -25,24 +33,24 @@ class Scales(eqx.Module):
     cost: Scalar
 
     def restore(
-        self, z: Float[Array, "nodes variables"], multipliers: Multipliers
-    ) -> tuple[Float[Array, "nodes variables"], Multipliers]:
+        self, z: Float[Array, "nodes variables"], multipliers: ConicMultipliers
+    ) -> tuple[Float[Array, "nodes variables"], ConicMultipliers]:
         """Take a solution of the scaled program back to the given one."""
         cones = tuple(
             y * r[..., None] / self.cost for y, r in zip(multipliers.cones, self.cones, strict=True)
         )
-        return self.columns * z, Multipliers(
+        return self.columns * z, ConicMultipliers(
             multipliers.links * self.links / self.cost, multipliers.rows * self.rows / self.cost, cones
         )
 
-    def apply(self, near: Near) -> Near:
+    def apply(self, near: WarmStart) -> WarmStart:
         """Take a point of the given program to the scaled one."""
         given = near.multipliers
         cones = tuple(y * self.cost / r[..., None] for y, r in zip(given.cones, self.cones, strict=True))
-        multipliers = Multipliers(
+        multipliers = ConicMultipliers(
             given.links * self.cost / self.links, given.rows * self.cost / self.rows, cones
         )
-        return Near(near.z / self.columns, multipliers, near.known)
+        return WarmStart(near.z / self.columns, multipliers, near.known)
 
 
 def equilibrate(program: StagedProgram, rounds: int = 3) -> tuple[StagedProgram, Scales]:
@@ -118,14 +126,14 @@ def scaled_by(program: StagedProgram, s: Scales) -> StagedProgram:
     return StagedProgram(
         hessian=s.cost * s.columns[:, :, None] * program.hessian * s.columns[:, None, :],
         gradient=s.cost * s.columns * program.gradient,
-        links=Links(
+        links=CouplingRows(
             before=s.links[:, :, None] * links.before * columns_before[:, None, :],
             after=s.links[:, :, None] * links.after * columns_after[:, None, :],
             offset=s.links * links.offset,
             soft=links.soft,
             weight=s.cost * links.weight / shared,
         ),
-        rows=Rows(
+        rows=HalfSpaceRows(
             s.rows[:, :, None] * program.rows.matrix * s.columns[:, None, :], s.rows * program.rows.offset
         ),
         cones=tuple(

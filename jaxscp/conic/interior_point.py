@@ -23,7 +23,7 @@ from jaxscp.conic.directions import Embedded, Newton
 from jaxscp.conic.equilibrate import Scales, equilibrate
 from jaxscp.conic.iterate import Iterate, Residuals, measured, residuals_at
 from jaxscp.conic.kkt import Primal
-from jaxscp.conic.program import ConicSolution, Multipliers, Near, StagedProgram
+from jaxscp.conic.program import ConicMultipliers, ConicSolution, StagedProgram, WarmStart
 from jaxscp.core.status import Status, StatusCode
 from jaxscp.core.trees import tree_axpy, tree_negated
 from jaxscp.core.types import Scalar
@@ -84,7 +84,7 @@ class InteriorPoint(eqx.Module):
     compiled: bool = eqx.field(default=True, static=True)
 
     def __call__(
-        self, program: StagedProgram, accuracy: Scalar | float = 0.0, near: Near | None = None
+        self, program: StagedProgram, accuracy: Scalar | float = 0.0, near: WarmStart | None = None
     ) -> ConicSolution:
         """Solve a program.
 
@@ -107,7 +107,7 @@ class InteriorPoint(eqx.Module):
         )
 
     def iterate(
-        self, program: StagedProgram, tolerance: Scalar | float | None = None, near: Near | None = None
+        self, program: StagedProgram, tolerance: Scalar | float | None = None, near: WarmStart | None = None
     ) -> Ended:
         """The loop itself, on the equilibrated program; to the solver's own tolerance if to no other."""
         wanted = jnp.asarray(self.tolerance if tolerance is None else tolerance, program.gradient.dtype)
@@ -124,7 +124,7 @@ class InteriorPoint(eqx.Module):
             cuda=functools.partial(self._iterate_compiled, native.call_on_gpu) if cuda else None,
         )
 
-    def _iterate(self, given: StagedProgram, tolerance: Scalar, near: Near | None) -> Ended:
+    def _iterate(self, given: StagedProgram, tolerance: Scalar, near: WarmStart | None) -> Ended:
         program, scales = equilibrate(given, self.equilibration)
 
         def steps(start: Progress, newton: type[Newton]) -> Progress:
@@ -151,7 +151,9 @@ class InteriorPoint(eqx.Module):
             progress.iterate, *measures, progress.iterations, progress.stalled, progress.broken, scales
         )
 
-    def _iterate_compiled(self, call, program: StagedProgram, tolerance: Scalar, near: Near | None) -> Ended:
+    def _iterate_compiled(
+        self, call, program: StagedProgram, tolerance: Scalar, near: WarmStart | None
+    ) -> Ended:
         names = (
             "proof_tolerance",
             "loose_tolerance",
@@ -274,10 +276,10 @@ def _refuse(primals, tangents):
 
 def restored(
     program: StagedProgram, scales: Scales, x: Primal, y: ConeVector
-) -> tuple[Float[Array, "nodes variables"], Multipliers]:
+) -> tuple[Float[Array, "nodes variables"], ConicMultipliers]:
     """Node variables and multipliers of the given program, from those of the equilibrated one."""
     user, _, _ = kkt.unpack(program, y.second)
-    return scales.restore(x.z, Multipliers(kkt.link_multiplier(program, y), y.orthant, tuple(user)))
+    return scales.restore(x.z, ConicMultipliers(kkt.link_multiplier(program, y), y.orthant, tuple(user)))
 
 
 def _started(program: StagedProgram, scales: Scales, iterate: Iterate) -> Progress:

@@ -9,7 +9,7 @@ from jaxscp.cones.product import ConeVector
 from jaxscp.conic import kkt
 from jaxscp.conic.equilibrate import Scales
 from jaxscp.conic.kkt import Primal
-from jaxscp.conic.program import Near, StagedProgram
+from jaxscp.conic.program import StagedProgram, WarmStart
 from jaxscp.conic.warm_start import central_start
 from jaxscp.core.trees import tree_axpy, tree_dot, tree_max
 from jaxscp.core.types import Scalar
@@ -30,7 +30,7 @@ class Iterate(eqx.Module):
         return jax.tree.map(lambda v: v / tau, (self.x, self.y, self.s))
 
     @classmethod
-    def near(cls, program: StagedProgram, near: Near) -> "Iterate":
+    def near(cls, program: StagedProgram, near: WarmStart) -> "Iterate":
         """The start near a point that is thought to be not far from the solution."""
         x, y, s = central_start(program, near)
         return cls(x, y, s, jnp.ones(()), jnp.zeros(()))

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 
 from jaxscp.cones.product import ConeVector, Scaling
 from jaxscp.cones.second_order import SecondOrderScaling
-from jaxscp.conic.program import Multipliers, StagedProgram
+from jaxscp.conic.program import ConicMultipliers, StagedProgram
 from jaxscp.core.trees import tree_axpy
 from jaxscp.core.types import Count
 from jaxscp.linalg import block_tridiagonal
@@ -63,13 +63,13 @@ def times_constraints(program: StagedProgram, x: Primal) -> ConeVector:
 def times_constraints_transpose(program: StagedProgram, y: ConeVector) -> Primal:
     """A' y."""
     user, trust, virtual = unpack(program, y.second)
-    z = transpose(program, Multipliers(link_multiplier(program, y), y.orthant, tuple(user)))
+    z = transpose(program, ConicMultipliers(link_multiplier(program, y), y.orthant, tuple(user)))
     if program.norm is not None:
         z -= program.norm.scale * trust[:, 1:]
     return Primal(z, -trust[:, 0], -virtual[:, 0])
 
 
-def transpose(program: StagedProgram, y: Multipliers) -> Float[Array, "nodes variables"]:
+def transpose(program: StagedProgram, y: ConicMultipliers) -> Float[Array, "nodes variables"]:
     """What multipliers of links, half-spaces and cones add to the gradient of the Lagrangian."""
     z = program.links.transpose_apply(y.links)
     z += transpose_times(program.rows.matrix, y.rows)

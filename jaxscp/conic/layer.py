@@ -31,7 +31,7 @@ from jaxscp.conic.interior_point import InteriorPoint, restored
 from jaxscp.conic.kkt import Primal
 from jaxscp.conic.program import ConicSolution, StagedProgram
 from jaxscp.conic.smoothing import central_pair
-from jaxscp.core.implicit import once, symmetric_solve
+from jaxscp.core.implicit import first_order_only, symmetric_solve
 from jaxscp.core.status import Status
 from jaxscp.core.trees import tree_axpy
 from jaxscp.core.types import Flag, Scalar
@@ -135,7 +135,9 @@ def _moved(primals, tangents):
     def solve(_, right):
         return _solve(matrix, reached, right)
 
-    return optimum, implicit_diff.root_jvp(residual, optimum, (once(program),), tangents[:1], solve=solve)
+    return optimum, implicit_diff.root_jvp(
+        residual, optimum, (first_order_only(program),), tangents[:1], solve=solve
+    )
 
 
 def _solve(matrix: System, reached: Flag, right: Optimum) -> Optimum:

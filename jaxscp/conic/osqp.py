@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 import scipy
 
-from jaxscp.conic.program import ConicSolution, Multipliers, Near, StagedProgram
+from jaxscp.conic.program import ConicMultipliers, ConicSolution, StagedProgram, WarmStart
 from jaxscp.conic.quadratic import DEFAULT_FACETS, QuadraticProgram, quadratic_form
 from jaxscp.core.status import Status, StatusCode
 from jaxscp.core.types import Scalar
@@ -106,7 +106,7 @@ class OSQP(eqx.Module):
     polish: bool = eqx.field(default=True, static=True)
 
     def __call__(
-        self, program: StagedProgram, accuracy: Scalar | float = 0.0, near: Near | None = None
+        self, program: StagedProgram, accuracy: Scalar | float = 0.0, near: WarmStart | None = None
     ) -> ConicSolution:
         """Solve a program, to the tolerance whatever accuracy is enough and wherever the solution is thought to be;
         ``z`` is always finite, ``status`` says what it is worth."""
@@ -117,7 +117,7 @@ class OSQP(eqx.Module):
             self._on_host, (like, count, count), program, vmap_method="sequential"
         )
         return ConicSolution(
-            z, Multipliers(*multipliers), program.objective(z), status_of(code), iterations.astype(int)
+            z, ConicMultipliers(*multipliers), program.objective(z), status_of(code), iterations.astype(int)
         )
 
     def _on_host(self, program: StagedProgram):

@@ -23,7 +23,7 @@ from jaxscp.core.types import Flag, Scalar
 from jaxscp.linalg.batched import times, transpose_times
 
 
-class Links(eqx.Module):
+class CouplingRows(eqx.Module):
     """Equality rows E z_{l-1} + F z_l + V nu = d that join neighbouring nodes."""
 
     before: Float[Array, "links rows variables"]
@@ -48,7 +48,7 @@ class Links(eqx.Module):
         return transpose_times(self.before[1:], y[1:]) + transpose_times(self.after[:-1], y[:-1])
 
 
-class Rows(eqx.Module):
+class HalfSpaceRows(eqx.Module):
     """Half-spaces ``matrix z <= offset`` at every node. A row of zeros with offset one is inactive."""
 
     matrix: Float[Array, "nodes rows variables"]
@@ -75,8 +75,8 @@ class StagedProgram(eqx.Module):
 
     hessian: Float[Array, "nodes variables variables"]
     gradient: Float[Array, "nodes variables"]
-    links: Links
-    rows: Rows
+    links: CouplingRows
+    rows: HalfSpaceRows
     cones: tuple[Cones, ...] = ()
     norm: NormCost | None = None
 
@@ -114,7 +114,7 @@ class StagedProgram(eqx.Module):
         return jnp.maximum(worst, 0.0)
 
 
-class Multipliers(eqx.Module):
+class ConicMultipliers(eqx.Module):
     """Lagrange multipliers of a program, one for every constraint row, signed as in CLARABEL's convention."""
 
     links: Float[Array, "links link_rows"]
@@ -122,29 +122,29 @@ class Multipliers(eqx.Module):
     cones: tuple[Float[Array, "nodes _ _"], ...]
 
     @classmethod
-    def zeros(cls, program: StagedProgram) -> "Multipliers":
+    def zeros(cls, program: StagedProgram) -> "ConicMultipliers":
         """None of them active."""
         cones = tuple(jnp.zeros_like(cone.offset) for cone in program.cones)
         return cls(jnp.zeros_like(program.links.offset), jnp.zeros_like(program.rows.offset), cones)
 
 
-class Near(eqx.Module):
+class WarmStart(eqx.Module):
     """Where the solution of a program is thought to be: at that of another program that is like it, say.
 
     Example:
-        >>> from jaxscp.conic import Near
+        >>> from jaxscp.conic import WarmStart
         >>> from jaxscp.conic.random_programs import random_program
         >>> from jaxscp.conic.interior_point import InteriorPoint
         >>> program = random_program(0, norm=False)
         >>> solver = InteriorPoint(tolerance=1e-4)
         >>> before = solver(program)
-        >>> again = solver(program, near=Near(before.z, before.multipliers))
+        >>> again = solver(program, near=WarmStart(before.z, before.multipliers))
         >>> int(again.iterations) < int(before.iterations)
         True
     """
 
     z: Float[Array, "nodes variables"]
-    multipliers: Multipliers
+    multipliers: ConicMultipliers
     known: Flag | bool = True
     """Whether anything is thought of it at all."""
 
@@ -156,11 +156,11 @@ class ConicSolution(eqx.Module):
     """
 
     z: Float[Array, "nodes variables"]
-    multipliers: Multipliers
+    multipliers: ConicMultipliers
     objective: Scalar
     status: StatusCode
     iterations: jax.Array
 
 
-ConicSolver = Callable[[StagedProgram, Scalar | float, Near], ConicSolution]
+ConicSolver = Callable[[StagedProgram, Scalar | float, WarmStart], ConicSolution]
 """Solves a program to some accuracy, of which its own tolerance is enough, maybe from a point near the solution."""

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 
-from jaxscp.conic.program import Cones, Links, NormCost, Rows, StagedProgram
+from jaxscp.conic.program import Cones, CouplingRows, HalfSpaceRows, NormCost, StagedProgram
 
 
 def smallest_program() -> StagedProgram:
@@ -23,14 +23,14 @@ def smallest_program() -> StagedProgram:
     return StagedProgram(
         hessian=jnp.broadcast_to(jnp.diag(jnp.array([0.0, 1.0])), (2, 2, 2)),
         gradient=jnp.zeros((2, 2)),
-        links=Links(
+        links=CouplingRows(
             before=jnp.stack([none, step, position]),
             after=jnp.stack([position, -position, none]),
             offset=jnp.array([[0.0], [0.0], [1.0]]),
             soft=jnp.array([[0.0], [1.0], [0.0]]),
             weight=jnp.full(3, 10.0),
         ),
-        rows=Rows(jnp.broadcast_to(limits, (2, 2, 2)), jnp.full((2, 2), 2.0)),
+        rows=HalfSpaceRows(jnp.broadcast_to(limits, (2, 2, 2)), jnp.full((2, 2), 2.0)),
     )
 
 
@@ -81,7 +81,7 @@ def random_program(
     )
 
 
-def _random_links(random: np.random.Generator, point: np.ndarray, seen: np.ndarray) -> Links:
+def _random_links(random: np.random.Generator, point: np.ndarray, seen: np.ndarray) -> CouplingRows:
     nodes, variables = point.shape
     shape = (nodes + 1, variables // 2, variables)
     before, after = random.standard_normal(shape), random.standard_normal(shape)
@@ -94,17 +94,17 @@ def _random_links(random: np.random.Generator, point: np.ndarray, seen: np.ndarr
     offset[1:] += np.einsum("krn,kn->kr", before[1:], point)
     offset[:-1] += np.einsum("krn,kn->kr", after[:-1], point)
     weight = random.uniform(1.0, 5.0, nodes + 1)
-    return Links(*map(jnp.asarray, (before, after, offset, soft, weight)))
+    return CouplingRows(*map(jnp.asarray, (before, after, offset, soft, weight)))
 
 
 def _random_rows(
     random: np.random.Generator, point: np.ndarray, seen: np.ndarray, rows: int, contradictory: bool
-) -> Rows:
+) -> HalfSpaceRows:
     matrix = random.standard_normal((len(point), rows, point.shape[1])) * seen[:, None]
     offset = np.einsum("krn,kn->kr", matrix, point) + random.uniform(0.1, 1.0, (len(point), rows))
     if contradictory:
         matrix[1, 1], offset[1, 1] = -matrix[1, 0], -offset[1, 0] - random.uniform(0.1, 1.0)
-    return Rows(jnp.asarray(matrix), jnp.asarray(offset))
+    return HalfSpaceRows(jnp.asarray(matrix), jnp.asarray(offset))
 
 
 def _random_cones(random: np.random.Generator, point: np.ndarray, seen: np.ndarray, cones: int) -> Cones:

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jaxscp.cones.product import ConeVector, degree
 from jaxscp.conic import kkt
 from jaxscp.conic.kkt import Primal
-from jaxscp.conic.program import Near, StagedProgram
+from jaxscp.conic.program import StagedProgram, WarmStart
 from jaxscp.conic.smoothing import central_pair
 from jaxscp.core.trees import tree_axpy
 from jaxscp.core.types import Scalar
@@ -31,7 +31,7 @@ ROOM = 2.0  # for moves: times their price, of mu; by trial too
 AT_BOUND = 0.99  # of its price, from which on a multiplier speaks for virtual control
 
 
-def central_start(program: StagedProgram, near: Near) -> tuple[Primal, ConeVector, ConeVector]:
+def central_start(program: StagedProgram, near: WarmStart) -> tuple[Primal, ConeVector, ConeVector]:
     """Variables, multipliers and slacks of the start, for an equilibrated program."""
     norm, soft, links = program.norm, program.links.soft, near.multipliers.links
     virtual = jnp.linalg.norm(program.virtual_control(near.z), axis=1)

@@ -48,20 +48,20 @@ def while_loop(
             left: what steps them is then compiled for both.
     """
     arrays, rest = eqx.partition(fixed, eqx.is_array)
-    once = jax.jit(
+    traced_step = jax.jit(
         lambda arrays, state: step(eqx.combine(arrays, rest), state)
     )  # traced once for all uses below
 
     @custom_vmap
     def loop(arrays, state):
-        return jax.lax.while_loop(unfinished, lambda s: once(arrays, s), state)
+        return jax.lax.while_loop(unfinished, lambda s: traced_step(arrays, s), state)
 
     @loop.def_vmap
     def _(lanes, batched, arrays, state):
         own, begun = batched
         states = jax.tree.map(lambda v, b: v if b else _repeat(v, lanes), state, begun)
         every = jax.tree.map(int, own)
-        return _all(_many(unfinished, once, lanes, elsewhere, every)(arrays, states))
+        return _all(_many(unfinished, traced_step, lanes, elsewhere, every)(arrays, states))
 
     return loop(arrays, state)
 
@@ -101,20 +101,20 @@ def in_tiles(act: Callable[[Any], State], fixed: Any, elsewhere: Tiles = TILE_EL
         [5.0, 5.0, 5.0]
     """
     arrays, rest = eqx.partition(fixed, eqx.is_array)
-    once = lambda arrays: act(eqx.combine(arrays, rest))  # noqa: E731
+    traced_step = lambda arrays: act(eqx.combine(arrays, rest))  # noqa: E731
 
     @custom_vmap
     def one(arrays):
-        return once(arrays)
+        return traced_step(arrays)
 
     @one.def_vmap
     def _(lanes, batched, arrays):
         blank = jax.tree.map(
-            lambda v: jnp.zeros(v.shape, v.dtype), jax.eval_shape(once, lane_of(batched, arrays))
+            lambda v: jnp.zeros(v.shape, v.dtype), jax.eval_shape(traced_step, lane_of(batched, arrays))
         )
         axes = jax.tree.map(lambda b: 0 if b else None, batched[0])
         tiled = lambda arrays: where_needed(  # noqa: E731
-            jnp.ones((), bool), lambda arrays, _: once(arrays), arrays, blank, elsewhere
+            jnp.ones((), bool), lambda arrays, _: traced_step(arrays), arrays, blank, elsewhere
         )
         return _all(jax.vmap(tiled, in_axes=(axes,), axis_size=lanes)(arrays))
 

@@ -52,12 +52,12 @@ def undefined(right: Float[Array, "_"]) -> Float[Array, "_"]:
 
 
 @jax.custom_jvp
-def once(given: Tree) -> Tree:
+def first_order_only(given: Tree) -> Tree:
     """What a derivative is being taken of, inside its rule: a second one is an error there, not a wrong number."""
     return given
 
 
-@once.defjvp
+@first_order_only.defjvp
 def _refuse(primals, tangents):
     raise TypeError(
         "plans and conic layers have first derivatives only: take second ones as differences of those"

@@ -17,30 +17,32 @@ from jaxscp.backends import cuda
 from jaxscp.backends.codegen import launch, tracing
 from jaxscp.backends.libraries import choose
 from jaxscp.integration import in_cpp, in_cuda, in_jax, in_tape
-from jaxscp.integration.intervals import Given, Intervals, Outcome
+from jaxscp.integration.intervals import IntervalData, IntervalOutputs, Intervals
 
 
-def outcomes(intervals: Intervals, w: Float[Array, "intervals inputs"], given: Given) -> Outcome:
+def outcomes(
+    intervals: Intervals, w: Float[Array, "intervals inputs"], given: IntervalData
+) -> IntervalOutputs:
     """What every interval gives."""
     return _outcomes(intervals, w, given)
 
 
 def linear(
-    intervals: Intervals, w: Float[Array, "intervals inputs"], given: Given
-) -> tuple[Outcome, Outcome]:
+    intervals: Intervals, w: Float[Array, "intervals inputs"], given: IntervalData
+) -> tuple[IntervalOutputs, IntervalOutputs]:
     """That, and its Jacobian."""
     return _linear(intervals, w, given)
 
 
 def curved(
-    intervals: Intervals, w: Float[Array, "intervals inputs"], given: Given, prices: Outcome
-) -> tuple[Outcome, Outcome, Float[Array, "intervals inputs inputs"]]:
+    intervals: Intervals, w: Float[Array, "intervals inputs"], given: IntervalData, prices: IntervalOutputs
+) -> tuple[IntervalOutputs, IntervalOutputs, Float[Array, "intervals inputs inputs"]]:
     """Those, and the second derivatives of the sum of all that is given times its price."""
     return _curved(intervals, w, given, prices)
 
 
 @eqx.filter_custom_jvp
-def _outcomes(intervals: Intervals, w: Array, given: Given) -> Outcome:
+def _outcomes(intervals: Intervals, w: Array, given: IntervalData) -> IntervalOutputs:
     cpu = _in_cpp(intervals, w, given, order=0)
     (found,) = choose(cpu, lambda w, given: (in_jax.outcomes(intervals, w, given),), w, given)
     return found
@@ -52,7 +54,7 @@ def _(primals, tangents):
 
 
 @eqx.filter_custom_jvp
-def _linear(intervals: Intervals, w: Array, given: Given) -> tuple[Outcome, Outcome]:
+def _linear(intervals: Intervals, w: Array, given: IntervalData) -> tuple[IntervalOutputs, IntervalOutputs]:
     on_gpu = _by_kernel(intervals, w)
 
     def elsewhere(w, given):
@@ -71,7 +73,7 @@ def _(primals, tangents):
 
 
 @eqx.filter_custom_jvp
-def _curved(intervals: Intervals, w: Array, given: Given, prices: Outcome):
+def _curved(intervals: Intervals, w: Array, given: IntervalData, prices: IntervalOutputs):
     cpu = _in_cpp(intervals, w, given, order=2)
     return choose(cpu, lambda *args: in_jax.curved(intervals, *args), w, given, prices)
 
@@ -81,7 +83,7 @@ def _(primals, tangents):
     return eqx.filter_jvp(in_jax.curved, primals, tangents)
 
 
-def _in_cpp(intervals: Intervals, w: Array, given: Given, order: int) -> Callable[..., Any] | None:
+def _in_cpp(intervals: Intervals, w: Array, given: IntervalData, order: int) -> Callable[..., Any] | None:
     """The pass in C++ as a function of (w, given, prices); None where it cannot be."""
     if not in_cpp.serves(w):
         return None

@@ -16,7 +16,8 @@ from jaxscp.backends import libraries
 from jaxscp.backends.codegen import functions, tape
 from jaxscp.backends.codegen.functions import Function
 from jaxscp.integration import native
-from jaxscp.integration.intervals import Given, Intervals, Outcome
+from jaxscp.integration.intervals import IntervalData, IntervalOutputs, Intervals
+from jaxscp.integration.rate_tape import record_slopes
 
 
 class Functions(NamedTuple):
@@ -34,7 +35,7 @@ def serves(w: Array) -> bool:
     return libraries.in_float64(w) and native.LIBRARY.available()
 
 
-def record(intervals: Intervals, inputs: int, given: Given, order: int) -> Functions:
+def record(intervals: Intervals, inputs: int, given: IntervalData, order: int) -> Functions:
     """Find the operations for a pass with derivatives up to an order.
 
     Raises:
@@ -52,7 +53,7 @@ def record(intervals: Intervals, inputs: int, given: Given, order: int) -> Funct
         return functions.record(function, points * block.together, [given.keep[0]], order)
 
     return Functions(
-        functions.record_slopes(intervals, inputs, order),
+        record_slopes(intervals, inputs, order),
         functions.record(
             lambda a, *data: watch.at_point(a[:n], a[n:], jax.tree.unflatten(point_tree, data)),
             argument,
@@ -95,7 +96,7 @@ class _Description:
 
     def tape(self, t: tape.Tape) -> None:
         self.several(t.operations)
-        self.numbers(t.once, t.places, len(t.parameters))
+        self.numbers(t.hoisted, t.places, len(t.parameters))
         self.reals(t.constants)
         self.several(t.outputs)
 
@@ -126,8 +127,8 @@ def sweep(
     intervals: Intervals,
     found: Functions,
     w: Float[Array, "intervals inputs"],
-    given: Given,
-    prices: Outcome | None,
+    given: IntervalData,
+    prices: IntervalOutputs | None,
     order: int,
 ) -> tuple[Any, ...]:
     """The outcomes, their Jacobian, and the curvature of their priced sum, up to an order; with operations already
@@ -149,10 +150,10 @@ def sweep(
     outcomes, *rest = call(*arrays, **_described(intervals, found, inputs, order))
     ends = np.cumsum(widths)[:-1]
 
-    def split(flat: Array) -> Outcome:
+    def split(flat: Array) -> IntervalOutputs:
         end, cost, *points, of_ends = jnp.split(flat, ends, axis=1)
         shaped = [p.reshape(count, intervals.points, -1, *flat.shape[2:]) for p in points]
-        return Outcome(end, cost[:, 0], tuple(shaped), of_ends)
+        return IntervalOutputs(end, cost[:, 0], tuple(shaped), of_ends)
 
     return (split(outcomes), *map(split, rest[:1]), *rest[1:])
 

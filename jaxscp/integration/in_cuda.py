@@ -10,9 +10,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxscp.backends import libraries
-from jaxscp.backends.codegen import functions, launch
-from jaxscp.integration.intervals import Intervals, Outcome
+from jaxscp.backends.codegen import launch
+from jaxscp.integration.intervals import IntervalOutputs, Intervals
 from jaxscp.integration.native import cuda_source
+from jaxscp.integration.rate_tape import record_slopes
 
 COLUMNS = 2  # of the tangent, that a thread carries
 
@@ -38,20 +39,20 @@ def record(intervals: Intervals, inputs: int, columns: int = COLUMNS) -> Kernel:
     Raises:
         CannotTrace: if the slopes are not arithmetic alone.
     """
-    slopes = functions.record_slopes(intervals, inputs, order=1)
+    slopes = record_slopes(intervals, inputs, order=1)
     text = cuda_source.kernel(slopes, intervals.states, intervals.method, intervals.steps, columns)
     return Kernel(text, cuda_source.groups(inputs, columns), launch.known_of(slopes))
 
 
 def sweep(
     intervals: Intervals, kernel: Kernel, machine_code: bytes, w: Float[Array, "intervals inputs"]
-) -> tuple[Outcome, Outcome]:
+) -> tuple[IntervalOutputs, IntervalOutputs]:
     """The outcomes and their Jacobian, by a kernel for these intervals."""
     count, inputs = w.shape
     n = intervals.states
     shapes = (count, n + 1), (count, n + 1, inputs)
     end, jacobian = launch.call(machine_code, w, kernel.known, shapes, kernel.groups, cuda_source.THREADS)
     return (
-        Outcome(end[:, :n], end[:, n], (), jnp.zeros((count, 0))),
-        Outcome(jacobian[:, :n], jacobian[:, n], (), jnp.zeros((count, 0, inputs))),
+        IntervalOutputs(end[:, :n], end[:, n], (), jnp.zeros((count, 0))),
+        IntervalOutputs(jacobian[:, :n], jacobian[:, n], (), jnp.zeros((count, 0, inputs))),
     )

@@ -14,12 +14,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxscp.integration import tableaus
-from jaxscp.integration.intervals import Given, Intervals, Outcome, controls_at, outcome
+from jaxscp.integration.intervals import IntervalData, IntervalOutputs, Intervals, controls_at, outcome
 
 Path = Float[Array, "after extended"]
 
 
-def outcomes(intervals: Intervals, w: Float[Array, "intervals inputs"], given: Given) -> Outcome:
+def outcomes(
+    intervals: Intervals, w: Float[Array, "intervals inputs"], given: IntervalData
+) -> IntervalOutputs:
     """Of every interval."""
     return jax.vmap(lambda w, given: outcome(intervals, w, fly(intervals, w), given))(w, given)
 
@@ -37,8 +39,8 @@ def fly(intervals: Intervals, w: Float[Array, "inputs"], push: Array | None = No
 
 
 def linear(
-    intervals: Intervals, w: Float[Array, "intervals inputs"], given: Given
-) -> tuple[Outcome, Outcome]:
+    intervals: Intervals, w: Float[Array, "intervals inputs"], given: IntervalData
+) -> tuple[IntervalOutputs, IntervalOutputs]:
     """Outcomes and their Jacobians, by forward mode through the integration."""
 
     def one(w, given):
@@ -50,13 +52,13 @@ def linear(
 
 
 def curved(
-    intervals: Intervals, w: Float[Array, "intervals inputs"], given: Given, prices: Outcome
-) -> tuple[Outcome, Outcome, Float[Array, "intervals inputs inputs"]]:
+    intervals: Intervals, w: Float[Array, "intervals inputs"], given: IntervalData, prices: IntervalOutputs
+) -> tuple[IntervalOutputs, IntervalOutputs, Float[Array, "intervals inputs inputs"]]:
     """Outcomes, their Jacobians, and the second derivatives of their priced sum."""
     return jax.vmap(lambda *lane: _curved(intervals, *lane))(w, given, prices)
 
 
-def _curved(intervals: Intervals, w: Float[Array, "inputs"], given: Given, prices: Outcome):
+def _curved(intervals: Intervals, w: Float[Array, "inputs"], given: IntervalData, prices: IntervalOutputs):
     """Of one interval."""
     directions = jnp.eye(w.shape[0], dtype=w.dtype)
 
@@ -67,8 +69,10 @@ def _curved(intervals: Intervals, w: Float[Array, "inputs"], given: Given, price
     nothing = jnp.zeros((intervals.steps, intervals.method.stages, intervals.states + 1), w.dtype)
     slope_prices = jax.grad(lambda push: priced(fly(intervals, w, push), w))(nothing)
     path, tangent, curvature = _sweep(intervals, w, slope_prices)
-    follow = lambda dpath, dw: jax.jvp(lambda p, w: outcome(intervals, w, p, given), (path, w), (dpath, dw))  # noqa: E731
-    found, jacobian = jax.vmap(follow, in_axes=-1, out_axes=(None, -1))(tangent, directions)
+    directional = lambda dpath, dw: jax.jvp(
+        lambda p, w: outcome(intervals, w, p, given), (path, w), (dpath, dw)
+    )  # noqa: E731
+    found, jacobian = jax.vmap(directional, in_axes=-1, out_axes=(None, -1))(tangent, directions)
     straight = jax.hessian(lambda d: priced(path + tangent @ d, w + d))(jnp.zeros_like(w))
     return found, jacobian, curvature + straight
 

@@ -10,11 +10,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxscp.backends.codegen.evaluate_tape import play
-from jaxscp.integration.intervals import Intervals, Outcome
+from jaxscp.integration.intervals import IntervalOutputs, Intervals
 from jaxscp.integration.rate_tape import record_slopes
 
 
-def linear(intervals: Intervals, w: Float[Array, "intervals inputs"]) -> tuple[Outcome, Outcome]:
+def linear(
+    intervals: Intervals, w: Float[Array, "intervals inputs"]
+) -> tuple[IntervalOutputs, IntervalOutputs]:
     """Outcomes and Jacobians of intervals whose points nothing is asked of.
 
     Raises:
@@ -68,6 +70,6 @@ def linear(intervals: Intervals, w: Float[Array, "intervals inputs"]) -> tuple[O
     )
     none, count = (), w.shape[0]
     return (
-        Outcome(end[:, :n], end[:, n], none, jnp.zeros((count, 0))),
-        Outcome(jacobian[:, :n], jacobian[:, n], none, jnp.zeros((count, 0, inputs))),
+        IntervalOutputs(end[:, :n], end[:, n], none, jnp.zeros((count, 0))),
+        IntervalOutputs(jacobian[:, :n], jacobian[:, n], none, jnp.zeros((count, 0, inputs))),
     )

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from jaxscp.integration import tableaus
 
 
-class Block(eqx.Module):
+class OutputGroup(eqx.Module):
     """Some of the rows that are watched at the points of an interval.
 
     Args:
@@ -31,7 +31,7 @@ class _Nothing(eqx.Module):
         return jnp.zeros(0)
 
 
-class Watch(eqx.Module):
+class PathOutputs(eqx.Module):
     """What is asked of an interval besides its end.
 
     Args:
@@ -42,7 +42,7 @@ class Watch(eqx.Module):
 
     at_point: Callable[..., Array] = _Nothing()
     of_ends: Callable[..., Array] = _Nothing()
-    blocks: tuple[Block, ...] = ()
+    blocks: tuple[OutputGroup, ...] = ()
 
     @property
     def nothing(self) -> bool:
@@ -69,7 +69,7 @@ class Intervals(eqx.Module):
     method: tableaus.Method = eqx.field(static=True)
     steps: int = eqx.field(static=True)
     every: int = eqx.field(static=True)
-    watch: Watch = Watch()
+    watch: PathOutputs = PathOutputs()
 
     def __check_init__(self):
         if self.steps % self.every:
@@ -85,18 +85,18 @@ class Intervals(eqx.Module):
         return (inputs - self.states) // 2
 
 
-class Given(eqx.Module):
+class IntervalData(eqx.Module):
     """Data of intervals, which are the leading axis if there are many."""
 
     point: Any
-    """For ``Watch.at_point``."""
+    """For ``PathOutputs.at_point``."""
     ends: Any
-    """For ``Watch.of_ends``."""
+    """For ``PathOutputs.of_ends``."""
     keep: Float[Array, "*intervals points"]
     """Where a margin is kept: one, or zero."""
 
 
-class Outcome(eqx.Module):
+class IntervalOutputs(eqx.Module):
     """What intervals give, the intervals as leading axis if there are many; in Jacobians inputs are the last axis."""
 
     end: Float[Array, "..."]
@@ -109,9 +109,9 @@ class Outcome(eqx.Module):
     """(rows,)"""
 
 
-def without_data(intervals: Intervals, count: int) -> Given:
+def without_data(intervals: Intervals, count: int) -> IntervalData:
     """Of intervals that nothing else is asked of."""
-    return Given((), (), jnp.zeros((count, intervals.points)))
+    return IntervalData((), (), jnp.zeros((count, intervals.points)))
 
 
 def controls_at(
@@ -123,8 +123,8 @@ def controls_at(
 
 
 def outcome(
-    intervals: Intervals, w: Float[Array, "inputs"], path: Float[Array, "after extended"], given: Given
-) -> Outcome:
+    intervals: Intervals, w: Float[Array, "inputs"], path: Float[Array, "after extended"], given: IntervalData
+) -> IntervalOutputs:
     """What an interval gives, from the state and the cost so far at every point but the first."""
     n, watch = intervals.states, intervals.watch
     states = jnp.concatenate([w[None, :n], path[:, :n]])
@@ -136,4 +136,4 @@ def outcome(
         values = jax.vmap(block.less_margin, in_axes=(1, None), out_axes=1)(values, given.keep)
         parts.append(values.reshape(intervals.points, block.rows))
         before += block.rows
-    return Outcome(path[-1, :n], path[-1, n], tuple(parts), watch.of_ends(w, given.ends))
+    return IntervalOutputs(path[-1, :n], path[-1, n], tuple(parts), watch.of_ends(w, given.ends))

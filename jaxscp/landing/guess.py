@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from jaxscp.conic.interior_point import InteriorPoint
-from jaxscp.conic.program import Cones, Links, Rows, StagedProgram
+from jaxscp.conic.program import Cones, CouplingRows, HalfSpaceRows, StagedProgram
 from jaxscp.core.status import StatusCode
 from jaxscp.core.types import Controls, Nodes, Points, Scalar, States, Vector3
 from jaxscp.dynamics import flatness, rotations
@@ -168,7 +168,7 @@ def guess_program(
         hessian=jnp.broadcast_to(jnp.diag(_prices(nodes, dtype)), (nodes, VARIABLES, VARIABLES)),
         gradient=jnp.zeros((nodes, VARIABLES), dtype),
         links=_triple_integrator_links(scenario, units, nodes),
-        rows=Rows(_pad_columns(faces, VARIABLES), distances),
+        rows=HalfSpaceRows(_pad_columns(faces, VARIABLES), distances),
         cones=(Cones(cone_matrix[:, None], cone_offset[:, None]),),
     )
 
@@ -182,7 +182,7 @@ def _prices(nodes: int, dtype) -> Float[Array, "12"]:
     return jnp.repeat(2.0 * each, 3)
 
 
-def _triple_integrator_links(scenario: LandingScenario, units: Units, nodes: int) -> Links:
+def _triple_integrator_links(scenario: LandingScenario, units: Units, nodes: int) -> CouplingRows:
     """Exact first-order hold of the jerk, and both ends fixed in position, velocity and acceleration."""
     h = 0.5  # an interval, in units of two
     eye, none = jnp.eye(3), jnp.zeros((3, 3))
@@ -204,7 +204,7 @@ def _triple_integrator_links(scenario: LandingScenario, units: Units, nodes: int
     zero = jnp.zeros_like(fixed)
     inner = (nodes - 1, 9, VARIABLES)
     first, last = units.end(scenario, scenario.start), units.end(scenario, scenario.goal)
-    return Links(
+    return CouplingRows(
         before=jnp.concatenate([zero, jnp.broadcast_to(before, inner), fixed]),
         after=jnp.concatenate([fixed, jnp.broadcast_to(after, inner), zero]),
         offset=jnp.zeros((nodes + 1, 9)).at[0].set(first).at[-1].set(last),

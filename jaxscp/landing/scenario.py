@@ -12,8 +12,8 @@ from jaxtyping import Array, Float
 from jaxscp.core.arrays import floats, namespace
 from jaxscp.core.types import Points, Quaternion, Scalar, Vector3
 from jaxscp.corridor.polytopes import Corridor
-from jaxscp.dynamics.airframes import Airframe
 from jaxscp.dynamics import rotations
+from jaxscp.dynamics.airframes import Airframe
 
 
 class BodyState(eqx.Module):

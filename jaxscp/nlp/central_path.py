@@ -25,7 +25,7 @@ from jaxtyping import Array, Float
 
 from jaxscp.cones.cone import Cone, SecondOrder
 from jaxscp.core.types import Scalar
-from jaxscp.problem.multipliers import FlightMultipliers
+from jaxscp.problem.multipliers import Multipliers
 from jaxscp.problem.problem import OptimalControlProblem
 from jaxscp.transcription.inequalities import cones
 from jaxscp.transcription.lagrangian import lagrangian as multiplied
@@ -39,7 +39,7 @@ class Point(eqx.Module):
     """All unknowns: node variables, and multipliers."""
 
     z: Float[Array, "nodes variables"]
-    y: FlightMultipliers
+    y: Multipliers
 
 
 def lagrangian(problem: OptimalControlProblem, point: Point, grid: Grid, mu: Scalar | float = MU) -> Scalar:

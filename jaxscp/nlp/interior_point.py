@@ -18,8 +18,8 @@ from jaxscp.core import batching
 from jaxscp.core.types import Count, Flag, Scalar
 from jaxscp.linalg import riccati
 from jaxscp.nlp.central_path import MU, ROOM, inverse
-from jaxscp.nlp.newton_system import Local, along, local, newton_chain, scaled, scalings, weighed
-from jaxscp.problem.multipliers import FlightMultipliers
+from jaxscp.nlp.newton_system import SecondOrderModel, along, local, newton_chain, scaled, scalings, weighed
+from jaxscp.problem.multipliers import Multipliers
 from jaxscp.problem.problem import (
     OptimalControlProblem,
     typical_sizes,
@@ -42,7 +42,7 @@ class Iterate(eqx.Module):
     """State of the loop."""
 
     z: Float[Array, "nodes variables"]
-    y: FlightMultipliers
+    y: Multipliers
     slack: Values
     mu: Scalar
     shift: Scalar
@@ -56,7 +56,7 @@ class Iterate(eqx.Module):
     """Whether no step can be taken."""
 
 
-class Interior(eqx.Module):
+class NLPInteriorPoint(eqx.Module):
     """Settings of the method.
 
     Args:
@@ -78,7 +78,7 @@ class Interior(eqx.Module):
         self,
         problem: OptimalControlProblem,
         z: Float[Array, "nodes variables"],
-        y: FlightMultipliers,
+        y: Multipliers,
         grid: Grid,
         wanted: Flag | bool = True,
     ) -> Iterate:
@@ -106,7 +106,7 @@ class Interior(eqx.Module):
         self,
         problem: OptimalControlProblem,
         z: Float[Array, "nodes variables"],
-        y: FlightMultipliers,
+        y: Multipliers,
         grid: Grid,
     ) -> Iterate:
         """Slacks as the point has them, but far enough inside that a multiplier need not exceed the one given."""
@@ -120,7 +120,7 @@ class Interior(eqx.Module):
         # The ends' multipliers, like the prices, follow from the rest in the first step.
         return Iterate(
             z=z,
-            y=FlightMultipliers(y.flow, y.initial, y.final, prices),
+            y=Multipliers(y.flow, y.initial, y.final, prices),
             slack=slack,
             mu=mu,
             shift=jnp.zeros_like(mu),
@@ -147,7 +147,7 @@ class Interior(eqx.Module):
 
         factor, shift = _definite(newton_chain(problem, here, condensed, scale), old.shift)
         gradient = mu * poles - owed - here.lack.nodes
-        right = riccati.Side(gradient, -here.lack.flow, -here.lack.initial, -here.lack.final)
+        right = riccati.KKTVector(gradient, -here.lack.flow, -here.lack.initial, -here.lack.final)
         move = scaled(riccati.solve(factor, scaled(right, scale)), scale)
 
         slopes = along(problem, here.jacobians, move.nodes)
@@ -156,7 +156,7 @@ class Interior(eqx.Module):
             mu * pole - y - w.inverse_square(ds)
             for w, pole, y, ds in zip(weigh, inverses, old.y.values, dslack, strict=True)
         )
-        dy = FlightMultipliers(move.flow, move.initial, move.final, dprices)
+        dy = Multipliers(move.flow, move.initial, move.final, dprices)
         size = jnp.max(jnp.abs(move.nodes / scale))
         primal = jnp.minimum(_longest(problem, old.slack, dslack), LONGEST / jnp.maximum(size, LONGEST))
         dual = _longest(problem, old.y.values, dprices)
@@ -176,7 +176,7 @@ class Interior(eqx.Module):
         )
 
 
-def _definite(chain: riccati.Chain, last: Scalar) -> tuple[riccati.Factor, Scalar]:
+def _definite(chain: riccati.LQProblem, last: Scalar) -> tuple[riccati.Factor, Scalar]:
     """Factor the matrix; where the second-order condition fails, with the least shift of a rising few that mends it."""
 
     def another(carry):
@@ -197,7 +197,7 @@ def _definite(chain: riccati.Chain, last: Scalar) -> tuple[riccati.Factor, Scala
 def _error(
     problem: OptimalControlProblem,
     at: Iterate,
-    here: Local,
+    here: SecondOrderModel,
     priced: Float[Array, "nodes variables"],
     scale: Float[Array, "variables"],
 ) -> Scalar:

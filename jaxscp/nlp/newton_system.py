@@ -8,10 +8,10 @@ from jaxtyping import Array, Float
 from jaxscp.cones import second_order
 from jaxscp.cones.cone import SecondOrder
 from jaxscp.linalg import riccati
-from jaxscp.linalg.gram.dispatch import normal
-from jaxscp.linalg.gram.rows import Rows
+from jaxscp.linalg.gram.dispatch import gram
+from jaxscp.linalg.gram.system import WeightedRows
 from jaxscp.nlp.central_path import ROOM
-from jaxscp.problem.multipliers import FlightMultipliers
+from jaxscp.problem.multipliers import Multipliers
 from jaxscp.problem.problem import OptimalControlProblem, end_condition, start_condition, terminal_cost
 from jaxscp.transcription.inequalities import (
     Jacobians,
@@ -23,13 +23,13 @@ from jaxscp.transcription.inequalities import (
     node_hessians,
 )
 from jaxscp.transcription.layout import interval_inputs, onto_nodes, stage_sizes
-from jaxscp.transcription.shooting import Grid, expand
+from jaxscp.transcription.shooting import Grid, linearise_with_hessian
 from jaxscp.transcription.stationarity import equalities_gradient
 
 Scalings = tuple["OrthantScaling | second_order.SecondOrderScaling", ...]
 
 
-class Local(eqx.Module):
+class SecondOrderModel(eqx.Module):
     """The problem about an iterate, to second order."""
 
     flow: Float[Array, "intervals states inputs"]
@@ -44,18 +44,18 @@ class Local(eqx.Module):
     """And what belongs to nodes alone."""
     values: Values
     jacobians: Jacobians
-    lack: riccati.Side
+    lack: riccati.KKTVector
     """Gradient of the Lagrangian without inequalities, and residuals of the equalities."""
 
 
 def local(
-    problem: OptimalControlProblem, z: Float[Array, "nodes variables"], y: FlightMultipliers, grid: Grid
-) -> Local:
+    problem: OptimalControlProblem, z: Float[Array, "nodes variables"], y: Multipliers, grid: Grid
+) -> SecondOrderModel:
     """Everything about a point, to second order."""
-    (linear, intervals), n = expand(problem, z, y, grid), problem.state_size
+    (linear, intervals), n = linearise_with_hessian(problem, z, y, grid), problem.state_size
     gradient = equalities_gradient(problem, z, linear, y)
     defect = linear.outputs.end - z[1:, :n]
-    return Local(
+    return SecondOrderModel(
         flow=linear.jacobian.end,
         initial=linear.initial.jacobian,
         final=linear.final.jacobian,
@@ -63,7 +63,7 @@ def local(
         nodes=node_hessians(problem, z, y.values) + _ends_hessians(problem, z, y),
         values=inequalities(problem, z, linear.outputs, ROOM),
         jacobians=jacobians(problem, z, linear),
-        lack=riccati.Side(gradient, defect, linear.initial.value, linear.final.value),
+        lack=riccati.KKTVector(gradient, defect, linear.initial.value, linear.final.value),
     )
 
 
@@ -80,17 +80,17 @@ class Weighed(eqx.Module):
 
 def weighed(problem: OptimalControlProblem, jacobians: Jacobians, weigh: Scalings, *sides: Values) -> Weighed:
     """Eliminate the inequalities; with J' v for so many v."""
-    parts: dict[bool, list[Rows]] = {False: [], True: []}
+    parts: dict[bool, list[WeightedRows]] = {False: [], True: []}
     for w, jacobian, nodal, *of in zip(weigh, jacobians, at_nodes(problem), *sides, strict=True):
         none = jnp.zeros((*jacobian.shape[:3], 0), jacobian.dtype)
         stacked = jnp.concatenate([none, *(v[..., None] for v in of)], axis=-1)
-        parts[nodal].append(Rows(jacobian, *_weights(w), stacked))
-    nodes = normal(tuple(parts[True]))
+        parts[nodal].append(WeightedRows(jacobian, *_weights(w), stacked))
+    nodes = gram(tuple(parts[True]))
     if not parts[False]:
         count, inputs = problem.nodes - 1, interval_inputs(problem, nodes.matrix[:, 0]).shape[1]
         blank = jnp.zeros((count, inputs, inputs), nodes.matrix.dtype)
         return Weighed(blank, nodes.matrix, tuple(jnp.moveaxis(nodes.sides, 1, 0)))
-    intervals = normal(tuple(parts[False]))
+    intervals = gram(tuple(parts[False]))
     pulls = zip(jnp.moveaxis(intervals.sides, 1, 0), jnp.moveaxis(nodes.sides, 1, 0), strict=True)
     return Weighed(intervals.matrix, nodes.matrix, tuple(onto_nodes(problem, i) + n for i, n in pulls))
 
@@ -106,8 +106,11 @@ def _weights(w: "OrthantScaling | second_order.SecondOrderScaling"):
 
 
 def newton_chain(
-    problem: OptimalControlProblem, here: Local, condensed: Weighed, scale: Float[Array, "variables"]
-) -> riccati.Chain:
+    problem: OptimalControlProblem,
+    here: SecondOrderModel,
+    condensed: Weighed,
+    scale: Float[Array, "variables"],
+) -> riccati.LQProblem:
     """Matrix of the Newton system in scaled variables, inequalities eliminated: the Lagrangian's second derivatives,
     and W^-2 of every cone."""
     both = here.intervals + condensed.intervals, here.nodes + condensed.nodes
@@ -115,13 +118,13 @@ def newton_chain(
 
 
 def lagrangian_chain(
-    problem: OptimalControlProblem, here: Local, scale: Float[Array, "variables"]
-) -> riccati.Chain:
+    problem: OptimalControlProblem, here: SecondOrderModel, scale: Float[Array, "variables"]
+) -> riccati.LQProblem:
     """The Lagrangian's second derivatives in the scaled node variables and the multipliers of the equalities."""
     n, stage = problem.state_size, problem.variables
     intervals = here.intervals.at[:, :stage, :stage].add(here.nodes[:-1])
     sizes = stage_sizes(problem, scale)
-    return riccati.Chain(
+    return riccati.LQProblem(
         hessian=intervals * sizes * sizes[:, None],
         last=here.nodes[-1] * scale * scale[:, None],
         flow=here.flow * sizes / scale[:n, None],
@@ -156,13 +159,15 @@ def scalings(problem: OptimalControlProblem, slack: Values, prices: Values) -> S
     return tuple(map(one, cones(problem), slack, prices))
 
 
-def scaled(side: riccati.Side, scale: Float[Array, "variables"]) -> riccati.Side:
+def scaled(side: riccati.KKTVector, scale: Float[Array, "variables"]) -> riccati.KKTVector:
     """Right-hand side of the system in scaled variables, from one in the variables' own units; and the unknowns in
     their own units, from scaled ones."""
-    return riccati.Side(side.nodes * scale, side.flow / scale[: side.flow.shape[1]], side.initial, side.final)
+    return riccati.KKTVector(
+        side.nodes * scale, side.flow / scale[: side.flow.shape[1]], side.initial, side.final
+    )
 
 
-def _ends_hessians(problem: OptimalControlProblem, z: Float[Array, "nodes variables"], y: FlightMultipliers):
+def _ends_hessians(problem: OptimalControlProblem, z: Float[Array, "nodes variables"], y: Multipliers):
     """Second derivatives of the conditions at both ends, times their multipliers, and of the terminal cost in the
     last state."""
     n, last = problem.state_size, problem.nodes - 1

@@ -21,7 +21,7 @@ from jax.scipy.sparse.linalg import gmres
 from jaxtyping import Array, Float
 
 from jaxscp.core import batching
-from jaxscp.core.implicit import once, undefined
+from jaxscp.core.implicit import first_order_only, undefined
 from jaxscp.core.types import Flag
 from jaxscp.linalg import riccati
 from jaxscp.nlp.central_path import MU, Point, conditions, inverse, lagrangian
@@ -35,17 +35,17 @@ from jaxscp.nlp.newton_system import (
     scalings,
     weighed,
 )
-from jaxscp.problem.multipliers import FlightMultipliers
+from jaxscp.problem.multipliers import Multipliers
 from jaxscp.problem.problem import OptimalControlProblem, typical_sizes
 from jaxscp.transcription.inequalities import Jacobians, Values, cones, pulled, unit
 from jaxscp.transcription.shooting import Grid
 
 STEPS, RESTARTS = 6, 2  # of GMRES
 TOLERANCE = 1e-13  # of its residual, relative
-Unknowns = tuple[riccati.Side, Values]
+Unknowns = tuple[riccati.KKTVector, Values]
 
 
-def follow(problem: OptimalControlProblem, point: Point, grid: Grid, reached: Flag) -> Point:
+def implicit_solution(problem: OptimalControlProblem, point: Point, grid: Grid, reached: Flag) -> Point:
     """The optimum that was found, as a function of the problem: its own value, and the theorem's derivatives.
 
     Args:
@@ -67,7 +67,7 @@ def _optimum(grid: Grid, floats, rest, point: Point, reached: Flag) -> Point:
 @_optimum.defjvp
 def _moved(grid: Grid, primals, tangents):
     floats, rest, point, reached = primals
-    problem = eqx.combine(once(floats), rest)
+    problem = eqx.combine(first_order_only(floats), rest)
     inner = _inside(problem, point, reached)
     return point, _change(problem, inner, grid, reached, tangents[0])
 
@@ -152,7 +152,7 @@ class System(eqx.Module):
     """Matrix of the conditions' derivatives: [H A' -J'; A 0 0; -J 0 -W^2] over scaled node variables, multipliers of
     the equalities, and prices."""
 
-    lagrangian: riccati.Chain
+    lagrangian: riccati.LQProblem
     """H and A."""
     jacobians: Jacobians
     """J, in the variables' own units."""
@@ -166,7 +166,7 @@ class System(eqx.Module):
         """For one right-hand side. Few directions are far from what the factor says of them, so that a few of GMRES's
         steps do what refinement would need fifty for."""
         y = right.y
-        side = scaled(riccati.Side(right.z, y.flow, y.initial, y.final), self.scale)
+        side = scaled(riccati.KKTVector(right.z, y.flow, y.initial, y.final), self.scale)
         (side, prices), _ = gmres(
             lambda x: self._apply(problem, x),
             (side, y.values),
@@ -177,7 +177,7 @@ class System(eqx.Module):
             maxiter=RESTARTS,
         )
         side = scaled(side, self.scale)
-        return Point(side.nodes, FlightMultipliers(side.flow, side.initial, side.final, prices))
+        return Point(side.nodes, Multipliers(side.flow, side.initial, side.final, prices))
 
     def _apply(self, problem: OptimalControlProblem, x: Unknowns) -> Unknowns:
         """Times a vector."""

@@ -12,7 +12,7 @@ from jaxtyping import Array, Int
 
 from jaxscp.aot import aot, export
 from jaxscp.aot.planner_cache import kept
-from jaxscp.backends.xla import quickly
+from jaxscp.backends.xla import jit_with_options
 from jaxscp.core import batching
 from jaxscp.core.status import Status
 from jaxscp.core.types import Flag
@@ -23,9 +23,9 @@ from jaxscp.landing.scenario import LandingScenario
 from jaxscp.landing.validation import valid, validate
 from jaxscp.problem.problem import OptimalControlProblem
 from jaxscp.problem.trajectory import Trajectory
-from jaxscp.scp.method import Answer, End, solve
+from jaxscp.scp.method import End, MethodResult, solve
 from jaxscp.scp.newton import NewtonSCP
-from jaxscp.scp.ptr import SCP
+from jaxscp.scp.ptr import PTR
 from jaxscp.solver.solution import Solution
 from jaxscp.transcription.layout import trajectory_of
 from jaxscp.verification.certificate import Certificate, acceptable, certify
@@ -40,7 +40,7 @@ class Planner(eqx.Module):
 
     Args:
         nodes: N; the flight has N - 1 intervals.
-        method: ``NewtonSCP()`` (local optima, safe between the nodes), or ``SCP()`` (the paper's method).
+        method: ``NewtonSCP()`` (local optima, safe between the nodes), or ``PTR()`` (the paper's method).
         samples: points an interval at which the certificate checks the constraints.
 
     Example:
@@ -52,7 +52,7 @@ class Planner(eqx.Module):
     """
 
     nodes: int = 30
-    method: NewtonSCP | SCP = NewtonSCP()
+    method: NewtonSCP | PTR = NewtonSCP()
     samples: int = 200
 
     def __call__(self, scenario: LandingScenario) -> Solution:
@@ -90,7 +90,7 @@ class Planner(eqx.Module):
         Example:
             >>> import jaxscp
             >>> scenario = jaxscp.scenarios.ascent_to_platform()
-            >>> planner = jaxscp.Planner(nodes=10, method=jaxscp.SCP(max_iterations=1)).compile(scenario)
+            >>> planner = jaxscp.Planner(nodes=10, method=jaxscp.PTR(max_iterations=1)).compile(scenario)
             >>> jaxscp.status_names(planner(scenario).status)
             'dynamics_unmet'
         """
@@ -139,7 +139,7 @@ class Planner(eqx.Module):
         self,
         problem: OptimalControlProblem,
         end: End,
-        answer: Answer,
+        answer: MethodResult,
         allocation: Int[Array, "intervals"],
     ) -> Solution:
         """Certify what the iterations ended with."""
@@ -173,24 +173,24 @@ class Planner(eqx.Module):
 # Each returns what the next one takes.
 
 
-@functools.partial(quickly, static_argnums=0)
+@functools.partial(jit_with_options, static_argnums=0)
 def _setup(planner: Planner, scenario: LandingScenario):
     return _strongly_typed((valid(scenario), *planner.setup(scenario)))
 
 
-@functools.partial(quickly, static_argnums=0)
+@functools.partial(jit_with_options, static_argnums=0)
 def _setup_again(planner: Planner, scenario: LandingScenario, allocation):
     return _strongly_typed((valid(scenario), landing_problem(scenario, allocation, planner.method.published)))
 
 
-@functools.partial(quickly, static_argnums=0)
+@functools.partial(jit_with_options, static_argnums=0)
 def _solve(planner: Planner, ok: Flag, problem: OptimalControlProblem, z, allocation):
     return _strongly_typed((ok, problem, *solve(planner.method, problem, z, ok), allocation))
 
 
-@functools.partial(quickly, static_argnums=0)
+@functools.partial(jit_with_options, static_argnums=0)
 def _conclude(
-    planner: Planner, ok: Flag, problem: OptimalControlProblem, end: End, answer: Answer, allocation
+    planner: Planner, ok: Flag, problem: OptimalControlProblem, end: End, answer: MethodResult, allocation
 ) -> Solution:
     return _blank_unless(ok, planner.conclude(problem, end, answer, allocation))
 

@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 from jaxscp.core.types import Nodes
 
 
-class FlightMultipliers(eqx.Module):
+class Multipliers(eqx.Module):
     """Multipliers of the nonlinear problem."""
 
     flow: Float[Array, "intervals states"]

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Shaped
 
 from jaxscp.cones.cone import SecondOrder
 from jaxscp.core.types import Nodes
-from jaxscp.problem.multipliers import FlightMultipliers
+from jaxscp.problem.multipliers import Multipliers
 from jaxscp.problem.problem import OptimalControlProblem
 from jaxscp.transcription.lagrangian import slack
 from jaxscp.transcription.shooting import Linearisation, Outputs, active_points
@@ -42,7 +42,7 @@ class ActiveSet(eqx.Module):
 def active_set(
     problem: OptimalControlProblem,
     linear: Linearisation,
-    multipliers: FlightMultipliers,
+    multipliers: Multipliers,
     scale: Float[Array, "inputs"],
 ) -> ActiveSet:
     """What a subproblem about ``linear`` ended on.

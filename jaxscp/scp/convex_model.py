@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from jaxscp.core import batching
 from jaxscp.problem.problem import OptimalControlProblem
 from jaxscp.scp.active_set import active_set, nearest_dilation_limit, slacks
-from jaxscp.scp.hessian_convexification import Chain, Convex, condensed
+from jaxscp.scp.hessian_convexification import Convex, LinearDynamics, condensed
 from jaxscp.scp.second_order_correction import HOLD
 from jaxscp.scp.state import NewtonState
 from jaxscp.scp.subproblem import buffered
@@ -68,7 +68,7 @@ def _exact(
         at_limit[-1, :stage] + 0.5 * state.proximal * (jnp.arange(stage) >= n).astype(scale.dtype)
     )
     final = final.at[:n, :n].add(HOLD * ends.T @ ends)
-    chain = Chain(state.linear.jacobian.end * scale / scale[:n, None], now.defect / scale[:n])
+    chain = LinearDynamics(state.linear.jacobian.end * scale / scale[:n, None], now.defect / scale[:n])
     convex = condensed(held + 0.5 * near, chain, final)
     pull = HOLD * active.pull(slacks(problem, state.linear.outputs)) + convex.gradient
     return Model(

@@ -28,7 +28,7 @@ FLOORS = (
 DEEPEST_CURVATURE = 100.0  # negative curvature a node may pass on before its block is clipped
 
 
-class Chain(eqx.Module):
+class LinearDynamics(eqx.Module):
     """The linearised dynamics between the stages (x_i, U_i), in scaled units."""
 
     jacobian: Float[Array, "intervals states inputs"]
@@ -51,7 +51,9 @@ def projected(hessian: Float[Array, "intervals inputs inputs"]) -> Convex:
 
 
 def condensed(
-    hessian: Float[Array, "intervals inputs inputs"], chain: Chain, final: Float[Array, "stage stage"]
+    hessian: Float[Array, "intervals inputs inputs"],
+    chain: LinearDynamics,
+    final: Float[Array, "stage stage"],
 ) -> Convex:
     """Move curvature from interval to interval, backwards, until each block is convex.
 

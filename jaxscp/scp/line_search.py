@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from jaxscp.core import batching
 from jaxscp.core.types import Count, Flag, Scalar
-from jaxscp.problem.multipliers import FlightMultipliers
+from jaxscp.problem.multipliers import Multipliers
 from jaxscp.problem.problem import OptimalControlProblem, terminal_cost
 from jaxscp.scp.second_order_correction import Correction, corrected
 from jaxscp.transcription.lagrangian import Residual, merit, residual
@@ -24,7 +24,7 @@ class Merit(eqx.Module):
     """The augmented Lagrangian that judges points."""
 
     problem: OptimalControlProblem
-    multipliers: FlightMultipliers
+    multipliers: Multipliers
     weight: float
     scale: Float[Array, "states"]
 

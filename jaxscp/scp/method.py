@@ -8,17 +8,17 @@ from jaxtyping import Array, Float
 
 from jaxscp.core.status import StatusCode
 from jaxscp.core.types import Count, Flag, Scalar
-from jaxscp.problem.multipliers import FlightMultipliers
+from jaxscp.problem.multipliers import Multipliers
 from jaxscp.problem.problem import OptimalControlProblem
 from jaxscp.scp.history import History
 
 
-class Answer(eqx.Module):
+class MethodResult(eqx.Module):
     """What a method found, as a function of the problem."""
 
     z: Float[Array, "nodes variables"]
     cost: Scalar
-    multipliers: FlightMultipliers | None
+    multipliers: Multipliers | None
     reached: Flag
     """Whether it is an optimum to rounding."""
     newton_steps: Count
@@ -29,7 +29,7 @@ class End(eqx.Module):
     """What is judged of a method's last state."""
 
     z: Float[Array, "nodes variables"]
-    multipliers: FlightMultipliers | None
+    multipliers: Multipliers | None
     cost: Scalar
     iterations: Count
     status: StatusCode
@@ -41,7 +41,7 @@ def solve(
     problem: OptimalControlProblem,
     z: Float[Array, "nodes variables"],
     wanted: Flag | bool = True,
-) -> tuple[End, Answer]:
+) -> tuple[End, MethodResult]:
     """The method's end, and its answer as a function of the problem: gradients go round the iterations."""
     frozen, z = jax.lax.stop_gradient((problem, z))
     state = method.run(frozen, z, wanted)

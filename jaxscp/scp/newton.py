@@ -13,27 +13,27 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from jaxscp.conic.interior_point import InteriorPoint
-from jaxscp.conic.program import ConicSolver, Multipliers, Near
+from jaxscp.conic.program import ConicMultipliers, ConicSolver, WarmStart
 from jaxscp.core import batching
 from jaxscp.core.status import Status, usable
 from jaxscp.core.types import Count, Flag, Scalar
 from jaxscp.nlp.central_path import Point
-from jaxscp.nlp.interior_point import Interior
-from jaxscp.nlp.sensitivity import follow
+from jaxscp.nlp.interior_point import NLPInteriorPoint
+from jaxscp.nlp.sensitivity import implicit_solution
 from jaxscp.problem.problem import OptimalControlProblem, node_times, terminal_cost, typical_sizes
 from jaxscp.scp.active_set import active_set, near_limits, slacks
 from jaxscp.scp.convex_model import convex_model, foretold, scaled_hessian
 from jaxscp.scp.hessian_convexification import projected
 from jaxscp.scp.history import History
 from jaxscp.scp.line_search import Merit, Step, search
-from jaxscp.scp.method import Answer, End
+from jaxscp.scp.method import End, MethodResult
 from jaxscp.scp.second_order_correction import corrected, correction
 from jaxscp.scp.state import NewtonState
 from jaxscp.scp.subproblem import check as check_liftable
 from jaxscp.scp.subproblem import flight_multipliers, lifted_program, node_step
 from jaxscp.transcription.lagrangian import no_multipliers, residual, worst_violation
 from jaxscp.transcription.layout import cost_gradient, stage_sizes
-from jaxscp.transcription.shooting import Grid, Linearisation, evaluate, expand, linearise
+from jaxscp.transcription.shooting import Grid, Linearisation, evaluate, linearise, linearise_with_hessian
 from jaxscp.transcription.stationarity import lagrangian_gradient, stationarity
 from jaxscp.verification.gradient import reflown_gradient
 
@@ -89,7 +89,7 @@ class NewtonSCP(eqx.Module):
     merit_weight: float = 10.0
     correction_rounds: int = eqx.field(default=2, static=True)
     grid: Grid = Grid()
-    interior: Interior = Interior()
+    interior: NLPInteriorPoint = NLPInteriorPoint()
     conic: ConicSolver = InteriorPoint(tolerance=1e-7)
 
     @property
@@ -102,11 +102,11 @@ class NewtonSCP(eqx.Module):
         """Whether a converged answer claims to keep its constraints between the nodes too."""
         return True
 
-    def answer(self, problem: OptimalControlProblem, state: NewtonState) -> Answer:
+    def answer(self, problem: OptimalControlProblem, state: NewtonState) -> MethodResult:
         """The end, as a function of the problem."""
-        point = follow(problem, Point(state.z, state.multipliers), self.grid, state.reached)
+        point = implicit_solution(problem, Point(state.z, state.multipliers), self.grid, state.reached)
         cost = jnp.sum(evaluate(problem, point.z, self.grid).cost) + terminal_cost(problem, point.z)
-        return Answer(point.z, cost, point.y, state.reached, state.newton_steps)
+        return MethodResult(point.z, cost, point.y, state.reached, state.newton_steps)
 
     def optimality(self, problem: OptimalControlProblem, end: End) -> Scalar:
         """How far the end is from a point of Karush, Kuhn and Tucker, by the judge's own flight."""
@@ -118,7 +118,7 @@ class NewtonSCP(eqx.Module):
         """State before the first subproblem, from an initial guess."""
         check_liftable(problem)
         free = no_multipliers(problem, z, self.grid)
-        linear, curvature = expand(problem, z, free, self.grid)
+        linear, curvature = linearise_with_hessian(problem, z, free, self.grid)
         zeros, counts = jnp.zeros(self.max_iterations, z.dtype), jnp.zeros(self.max_iterations, int)
         now = residual(linear.outputs, terminal_cost(problem, z), z)
         return NewtonState(
@@ -151,7 +151,7 @@ class NewtonSCP(eqx.Module):
         clipped = projected(scaled_hessian(state.curvature, scale))
         hessian, gradient = convex_model(problem, state, now, clipped, scale)
         program = lifted_program(problem, state.z, state.linear, hessian, gradient, self.virtual_weight)
-        near = Near(jnp.zeros_like(program.gradient), state.prices, state.iterations > 0)
+        near = WarmStart(jnp.zeros_like(program.gradient), state.prices, state.iterations > 0)
         # a lane that has ended fills up a batch, and asks for nothing
         accuracy = jnp.where(self.terminate(state), jnp.inf, self.accuracy(state))
         solution = self.conic(program, accuracy, near)
@@ -180,7 +180,7 @@ class NewtonSCP(eqx.Module):
         )
         found = search(step, now)
         candidate, new = found.trial.z, found.trial.residual
-        linear, curvature = expand(problem, candidate, multipliers, self.grid)
+        linear, curvature = linearise_with_hessian(problem, candidate, multipliers, self.grid)
 
         ratio = jnp.where(settled, 1.0, (judge(now) - found.whole.merit) / jnp.maximum(jnp.abs(gain), 1e-12))
         found_all, _ = ravel_pytree((new, linear, curvature, multipliers))
@@ -304,21 +304,21 @@ class NewtonSCP(eqx.Module):
         # Plain least change: the multipliers may be far from those of the point, if the loop was cut short.
         metric = jnp.broadcast_to(jnp.eye(inputs), (problem.nodes - 1, inputs, inputs))
 
-        def once(carry, firmness):
+        def one_round(carry, firmness):
             z, linear = carry
             near = near_limits(problem, linear, z, sizes)
             by = correction(problem, linear, near, metric, state.scale, firmness)
             z = corrected(problem, z, by, self.grid, self.correction_rounds)
             return (z, linearise(problem, z, self.grid)), None
 
-        (z, linear), _ = jax.lax.scan(once, (state.z, state.linear), jnp.array(FIRMNESS))
+        (z, linear), _ = jax.lax.scan(one_round, (state.z, state.linear), jnp.array(FIRMNESS))
         now = residual(linear.outputs, terminal_cost(problem, z), z)
         return eqx.tree_at(lambda s: (s.z, s.linear, s.cost), state, (z, linear, now.cost))
 
 
 def _no_prices(
     problem: OptimalControlProblem, z: Float[Array, "nodes variables"], linear: Linearisation
-) -> Multipliers:
+) -> ConicMultipliers:
     """Of a subproblem's rows, none of them active."""
     inputs = stage_sizes(problem, z[0]).shape[0]
     like = lambda *shape: jax.ShapeDtypeStruct((problem.nodes, *shape), z.dtype)  # noqa: E731
@@ -327,7 +327,7 @@ def _no_prices(
         like(inputs, inputs),
         like(inputs),
     )
-    return Multipliers.zeros(program)
+    return ConicMultipliers.zeros(program)
 
 
 def _adapted(state: NewtonState, ratio: Scalar, accept: Flag, chosen: Count):

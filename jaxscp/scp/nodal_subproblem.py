@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxscp.cones.cone import NonNegative, SecondOrder, Zero
-from jaxscp.conic.program import Cones, Links, NormCost, Rows, StagedProgram
+from jaxscp.conic.program import Cones, CouplingRows, HalfSpaceRows, NormCost, StagedProgram
 from jaxscp.core.types import Scalar
 from jaxscp.problem.constraint import AcrossIntervals, Constraint
 from jaxscp.problem.problem import Boundary, OptimalControlProblem, terminal_cost
@@ -92,7 +92,9 @@ def convexify(
         gradient=cost.gradient,
         links=_links(problem, reference, flow, equalities, virtual_weight),
         # values >= 0 at z:  value + matrix (z - zref) >= 0  is  (-matrix) z <= value - matrix zref
-        rows=Rows(*(jnp.concatenate(part, axis=1) for part in zip(*map(_negate_matrix, rows), strict=True))),
+        rows=HalfSpaceRows(
+            *(jnp.concatenate(part, axis=1) for part in zip(*map(_negate_matrix, rows), strict=True))
+        ),
         cones=tuple(Cones(*(part[:, None] for part in _negate_matrix(cone))) for cone in cones),
     )
     return _with_trust_region(program, reference, trust_region), cost
@@ -159,7 +161,7 @@ def _linear_boundary(problem: OptimalControlProblem, boundary: Boundary, z: Floa
     return matrix, matrix @ z - value(z)
 
 
-def _links(problem, reference, flow: Discretisation, equalities, virtual_weight) -> Links:
+def _links(problem, reference, flow: Discretisation, equalities, virtual_weight) -> CouplingRows:
     n, states, dtype = problem.variables, problem.state_size, reference.dtype
     initial, initial_right = _linear_boundary(problem, problem.initial, reference[0])
     final, final_right = _linear_boundary(problem, problem.final, reference[-1])
@@ -195,7 +197,7 @@ def _links(problem, reference, flow: Discretisation, equalities, virtual_weight)
         offset = jnp.concatenate([offset, jnp.concatenate([-value, none[:, :, 0]])], axis=1)
         soft = jnp.pad(soft, ((0, 0), (0, extra)))
     weight = jnp.full((problem.nodes + 1,), virtual_weight, dtype)
-    return Links(before, after, offset, soft, weight)
+    return CouplingRows(before, after, offset, soft, weight)
 
 
 def _with_trust_region(

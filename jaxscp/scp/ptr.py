@@ -10,14 +10,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxscp.conic.interior_point import InteriorPoint
-from jaxscp.conic.program import ConicSolver, Multipliers, Near
+from jaxscp.conic.program import ConicMultipliers, ConicSolver, WarmStart
 from jaxscp.core import batching
 from jaxscp.core.status import Status, StatusCode, usable
 from jaxscp.core.types import Count, Flag, Scalar
 from jaxscp.nlp.sensitivity import without_derivative
 from jaxscp.problem.problem import OptimalControlProblem, node_times
 from jaxscp.scp.history import History
-from jaxscp.scp.method import Answer, End
+from jaxscp.scp.method import End, MethodResult
 from jaxscp.scp.nodal_subproblem import NormTrustRegion, TrustRegion, convexify
 from jaxscp.transcription.discretise import Discretisation, discretise
 
@@ -30,7 +30,7 @@ ENDING = 5e-5  # accuracy of one that may be the last: of a coarser one small st
 TILES = 4096, 512
 
 
-class SCPState(eqx.Module):
+class PTRState(eqx.Module):
     """State of the loop."""
 
     z: Float[Array, "nodes variables"]
@@ -42,11 +42,11 @@ class SCPState(eqx.Module):
     status: StatusCode
     done: Flag
     history: History
-    prices: Multipliers
+    prices: ConicMultipliers
     """Of the last subproblem."""
 
 
-class SCP(eqx.Module):
+class PTR(eqx.Module):
     """Settings of the method; the paper's Table I and stopping rule by default.
 
     Args:
@@ -80,21 +80,21 @@ class SCP(eqx.Module):
         """Whether a converged answer claims to keep its constraints between the nodes too."""
         return False
 
-    def answer(self, problem: OptimalControlProblem, state: SCPState) -> Answer:
+    def answer(self, problem: OptimalControlProblem, state: PTRState) -> MethodResult:
         """The end. It is no function of the problem: the iterations stop where moving no longer pays, which says more
         of the guess."""
         z, cost = without_derivative(state.z, problem), without_derivative(state.cost, problem)
-        return Answer(z, cost, None, jnp.zeros((), bool), jnp.zeros((), int))
+        return MethodResult(z, cost, None, jnp.zeros((), bool), jnp.zeros((), int))
 
     def optimality(self, problem: OptimalControlProblem, end: End) -> None:
         """Nothing: where the trust region is priced by an unsquared norm, a stop says nothing of optimality."""
 
-    def init(self, problem: OptimalControlProblem, z: Float[Array, "nodes variables"]) -> SCPState:
+    def init(self, problem: OptimalControlProblem, z: Float[Array, "nodes variables"]) -> PTRState:
         """State before the first subproblem, from an initial guess."""
         zeros = jnp.zeros(self.max_iterations, z.dtype)
         counts = jnp.zeros(self.max_iterations, int)
         flow = discretise(problem, z, self.substeps)
-        return SCPState(
+        return PTRState(
             z=z,
             flow=flow,
             cost=jnp.zeros((), z.dtype),
@@ -102,15 +102,15 @@ class SCP(eqx.Module):
             status=Status.iteration_limit,
             done=jnp.zeros((), bool),
             history=History(zeros, zeros, zeros, zeros, zeros, zeros, counts),
-            prices=Multipliers.zeros(jax.eval_shape(lambda: self._program(problem, z, flow)[0])),
+            prices=ConicMultipliers.zeros(jax.eval_shape(lambda: self._program(problem, z, flow)[0])),
         )
 
-    def step(self, problem: OptimalControlProblem, state: SCPState) -> SCPState:
+    def step(self, problem: OptimalControlProblem, state: PTRState) -> PTRState:
         """Solve one subproblem and take its answer as the next reference."""
         program, cost = self._program(problem, state.z, state.flow)
         # a lane that has ended fills up a batch, and asks for nothing
         accuracy = jnp.where(self.terminate(state), jnp.inf, self.accuracy(state))
-        solution = self.conic(program, accuracy, Near(state.z, state.prices))
+        solution = self.conic(program, accuracy, WarmStart(state.z, state.prices))
         good = usable(solution.status) & jnp.all(jnp.isfinite(solution.z))
         z = jnp.where(good, solution.z, state.z)
         flow = discretise(problem, z, self.substeps)
@@ -129,7 +129,7 @@ class SCP(eqx.Module):
         )
         status = Status.where(closed, Status.iteration_limit, Status.dynamics_unmet)
         status = Status.where(closed & small_step, Status.converged, status)
-        return SCPState(
+        return PTRState(
             z=z,
             flow=flow,
             cost=cost(z),
@@ -140,7 +140,7 @@ class SCP(eqx.Module):
             prices=solution.multipliers,
         )
 
-    def accuracy(self, state: SCPState) -> Scalar:
+    def accuracy(self, state: PTRState) -> Scalar:
         """Relative accuracy that the next subproblem is worth: next to nothing is gained by more.
 
         A reference that moves far is soon another one; near the end, steps are about the square of the last one, until
@@ -155,20 +155,20 @@ class SCP(eqx.Module):
     ):
         return convexify(problem, z, flow, self.trust_region, self.virtual_weight)
 
-    def terminate(self, state: SCPState) -> Flag:
+    def terminate(self, state: PTRState) -> Flag:
         """Whether the loop is over."""
         return state.done | (state.iterations >= self.max_iterations)
 
     def run(
         self, problem: OptimalControlProblem, z: Float[Array, "nodes variables"], wanted: Flag | bool = True
-    ) -> SCPState:
+    ) -> PTRState:
         """Iterate from an initial guess to the end; not at all for a lane that is not wanted."""
         start = self.init(problem, z)
         start = eqx.tree_at(lambda s: s.done, start, ~jnp.asarray(wanted))
         return batching.while_loop(lambda state: ~self.terminate(state), self.step, problem, start, TILES)
 
 
-def _stays(virtual: Scalar, state: SCPState) -> Flag:
+def _stays(virtual: Scalar, state: PTRState) -> Flag:
     """Whether virtual control is what it was before the last subproblem: near a fixed point that does not change."""
     before = state.history.virtual[state.iterations - 1]
     return (state.iterations > 0) & (virtual > KEPT * before)

@@ -61,7 +61,7 @@ def correction(
     held = metric + hold * active.curvature() + damping
     # No interval counts the last controls' limits as its own: they stay.
     last = hold * jnp.diag((jnp.arange(stage) >= n).astype(metric.dtype)) + damping[:stage, :stage]
-    chain = riccati.Chain(
+    chain = riccati.LQProblem(
         hessian=held.at[:, stage - 1, stage - 1].add(own[:-1]),
         last=last.at[-1, -1].add(own[-1]),
         flow=linear.jacobian.end * sizes / scale[:n, None],
@@ -98,7 +98,7 @@ def corrected(
         out = evaluate(problem, z, grid)
         slack = slacks(problem, out)
         slack = jnp.minimum(slack, 0.0) if rest is None else slack - rest
-        right = riccati.Side(
+        right = riccati.KKTVector(
             # Dilation needs no pull: its limits are linear, so that the candidate keeps them.
             nodes=-by.hold * onto_nodes(problem, by.active.pull(slack)),
             flow=(z[1:, :n] - out.end) / by.scale[:n],

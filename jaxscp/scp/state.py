@@ -3,10 +3,10 @@
 import equinox as eqx
 from jaxtyping import Array, Float
 
-from jaxscp.conic.program import Multipliers
+from jaxscp.conic.program import ConicMultipliers
 from jaxscp.core.status import StatusCode
 from jaxscp.core.types import Count, Flag, Scalar
-from jaxscp.problem.multipliers import FlightMultipliers
+from jaxscp.problem.multipliers import Multipliers
 from jaxscp.scp.history import History
 from jaxscp.transcription.lagrangian import Residual
 from jaxscp.transcription.shooting import Linearisation
@@ -21,9 +21,9 @@ class NewtonState(eqx.Module):
     """Its intervals."""
     curvature: Float[Array, "intervals inputs inputs"]
     """Second derivatives of the Lagrangian there: kept, because the step after a refused one asks for them again."""
-    multipliers: FlightMultipliers
+    multipliers: Multipliers
     """Of the subproblem that led to it, of the flight's constraints."""
-    prices: Multipliers
+    prices: ConicMultipliers
     """Of its rows."""
     past: Residual
     """The last accepted points, newest first."""

@@ -11,9 +11,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxscp.cones.cone import NonNegative, SecondOrder, Zero
-from jaxscp.conic.program import Cones, Links, Multipliers, Rows, StagedProgram
+from jaxscp.conic.program import Cones, ConicMultipliers, CouplingRows, HalfSpaceRows, StagedProgram
 from jaxscp.problem.constraint import AtNodes, Constraint
-from jaxscp.problem.multipliers import FlightMultipliers
+from jaxscp.problem.multipliers import Multipliers
 from jaxscp.problem.problem import Condition, OptimalControlProblem
 from jaxscp.transcription.layout import cost_gradient
 from jaxscp.transcription.shooting import Linearisation, active_points, value_at
@@ -44,7 +44,7 @@ def lifted_program(
         hessian=hessian,
         gradient=gradient + cost_gradient(problem, z, linear.jacobian.cost),
         links=lifted_links(problem, z, linear, virtual_weight),
-        rows=Rows(matrix, offset),
+        rows=HalfSpaceRows(matrix, offset),
         cones=tuple(_cones(problem, c, i, z, linear) for i, c in _of_kind(problem, SecondOrder)),
     )
     return (
@@ -65,8 +65,8 @@ def node_step(problem: OptimalControlProblem, stages: Float[Array, "nodes _"]):
 
 
 def flight_multipliers(
-    problem: OptimalControlProblem, linear: Linearisation, found: Multipliers
-) -> FlightMultipliers:
+    problem: OptimalControlProblem, linear: Linearisation, found: ConicMultipliers
+) -> Multipliers:
     """A subproblem's multipliers in the nonlinear problem's own shape."""
     states = problem.state_size
     values: list = [None] * len(problem.constraints)
@@ -83,7 +83,7 @@ def flight_multipliers(
         for c, y in zip(problem.constraints, values, strict=True)
     ]
     dilation = found.rows[:, None, first : first + 2]
-    return FlightMultipliers(
+    return Multipliers(
         flow=found.links[1:-1, :states],
         initial=found.links[0, : linear.initial.value.shape[0]],
         final=found.links[-1, : linear.final.value.shape[0]],
@@ -112,7 +112,7 @@ def lifted_links(
     z: Float[Array, "nodes variables"],
     linear: Linearisation,
     virtual_weight: float,
-) -> Links:
+) -> CouplingRows:
     """Row blocks of each link: the dynamics (soft), and the controls that two stages share (hard)."""
     n, stage = problem.state_size, problem.variables
     jacobian = linear.jacobian.end
@@ -127,7 +127,7 @@ def lifted_links(
     after = jnp.broadcast_to(-jnp.eye(stage, inputs, dtype=z.dtype), before.shape)
     offset = jnp.zeros((intervals, stage), z.dtype).at[:, :n].set(-defect)
     soft = jnp.zeros((intervals + 2, stage), z.dtype).at[1:-1, : problem.dynamics.state_size].set(1.0)
-    return Links(
+    return CouplingRows(
         before=jnp.concatenate([none, before, final[None]]),
         after=jnp.concatenate([initial[None], after, none]),
         offset=jnp.concatenate([initial_right[None], offset, final_right[None]]),
@@ -214,7 +214,7 @@ def _with_buffer(program: StagedProgram, rows: Float[Array, "rows"], weight: flo
     return StagedProgram(
         hessian=hessian,
         gradient=wider(program.gradient, weight),
-        links=Links(wider(links.before), wider(links.after), links.offset, links.soft, links.weight),
-        rows=Rows(jnp.concatenate([matrix, no_less], axis=1), offset),
+        links=CouplingRows(wider(links.before), wider(links.after), links.offset, links.soft, links.weight),
+        rows=HalfSpaceRows(jnp.concatenate([matrix, no_less], axis=1), offset),
         cones=tuple(Cones(wider(c.matrix), c.offset) for c in program.cones),
     )

@@ -5,7 +5,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxscp.core.status import StatusCode
 from jaxscp.core.types import Count, Flag, Scalar
-from jaxscp.problem.multipliers import FlightMultipliers
+from jaxscp.problem.multipliers import Multipliers
 from jaxscp.problem.trajectory import Trajectory
 from jaxscp.scp.history import History
 from jaxscp.verification.certificate import Certificate
@@ -28,7 +28,7 @@ class Solution(eqx.Module):
     """Steps of the interior point that went from the last subproblem's point to the optimum."""
     differentiable: Flag
     """Whether the plan is an optimum to rounding, so that it has derivatives; else those asked for are NaN."""
-    multipliers: FlightMultipliers | None
+    multipliers: Multipliers | None
     """Prices of the flow, of the conditions at both ends and of the constraints; None where the method has none."""
     certificate: Certificate
     history: History

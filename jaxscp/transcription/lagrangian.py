@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from jaxscp.cones.cone import Cone, NonNegative, SecondOrder
 from jaxscp.core.types import Scalar
-from jaxscp.problem.multipliers import FlightMultipliers
+from jaxscp.problem.multipliers import Multipliers
 from jaxscp.problem.problem import OptimalControlProblem, end_condition, start_condition, terminal_cost
 from jaxscp.transcription.inequalities import inequalities
 from jaxscp.transcription.shooting import Grid, Outputs, active_points, evaluate
@@ -20,13 +20,13 @@ from jaxscp.transcription.shooting import Grid, Outputs, active_points, evaluate
 
 def no_multipliers(
     problem: OptimalControlProblem, z: Float[Array, "nodes variables"], grid: Grid
-) -> FlightMultipliers:
+) -> Multipliers:
     """Zeros."""
 
     def like(z):
         outputs, n = evaluate(problem, z, grid), problem.state_size
         initial, final = start_condition(problem, z[0, :n]), end_condition(problem, z[-1, :n])
-        return FlightMultipliers(outputs.end, initial, final, inequalities(problem, z, outputs))
+        return Multipliers(outputs.end, initial, final, inequalities(problem, z, outputs))
 
     return jax.tree.map(lambda v: jnp.zeros(v.shape, v.dtype), jax.eval_shape(like, z))
 
@@ -35,7 +35,7 @@ def lagrangian(
     problem: OptimalControlProblem,
     z: Float[Array, "nodes variables"],
     outputs: Outputs,
-    y: FlightMultipliers,
+    y: Multipliers,
     room: float = 0.0,
 ) -> Scalar:
     """L at a point, of which ``outputs`` are the intervals'; ``room`` is added to every inequality."""
@@ -66,7 +66,7 @@ def residual(outputs: Outputs, terminal: Scalar, z: Float[Array, "nodes variable
 def merit(
     problem: OptimalControlProblem,
     r: Residual,
-    y: FlightMultipliers,
+    y: Multipliers,
     weight: float,
     scale: Float[Array, "states"],
 ) -> Scalar:

@@ -15,9 +15,9 @@ from jaxtyping import Array, Bool, Float
 
 from jaxscp.cones.cone import SecondOrder
 from jaxscp.integration import dispatch, tableaus
-from jaxscp.integration.intervals import Block, Given, Intervals, Outcome, Watch
+from jaxscp.integration.intervals import IntervalData, IntervalOutputs, Intervals, OutputGroup, PathOutputs
 from jaxscp.problem.constraint import AcrossIntervals, Constraint, Throughout
-from jaxscp.problem.multipliers import FlightMultipliers
+from jaxscp.problem.multipliers import Multipliers
 from jaxscp.problem.problem import Condition, OptimalControlProblem, linearised_ends
 from jaxscp.transcription.layout import interval_inputs
 
@@ -87,8 +87,8 @@ def linearise(
 
 
 @eqx.filter_jit  # traced once for all calls of one program
-def expand(
-    problem: OptimalControlProblem, z: Float[Array, "nodes variables"], y: FlightMultipliers, grid: Grid
+def linearise_with_hessian(
+    problem: OptimalControlProblem, z: Float[Array, "nodes variables"], y: Multipliers, grid: Grid
 ) -> tuple[Linearisation, Float[Array, "intervals inputs inputs"]]:
     """Every interval linearised, and the second derivatives of the Lagrangian, a block an interval.
 
@@ -106,7 +106,10 @@ def expand(
 
 
 def linearisation(
-    problem: OptimalControlProblem, z: Float[Array, "nodes variables"], found: Outcome, jacobian: Outcome
+    problem: OptimalControlProblem,
+    z: Float[Array, "nodes variables"],
+    found: IntervalOutputs,
+    jacobian: IntervalOutputs,
 ) -> Linearisation:
     """From what a pass found at z."""
     return Linearisation(outputs(problem, found), outputs(problem, jacobian), *linearised_ends(problem, z))
@@ -116,27 +119,27 @@ def intervals_of(problem: OptimalControlProblem, grid: Grid) -> Intervals:
     """What a pass through the intervals of a flight goes through."""
     asked = _Asked(problem)
     blocks = tuple(
-        Block(rows, rows, _second_order_less_margin)
+        OutputGroup(rows, rows, _second_order_less_margin)
         if isinstance(c.cone, SecondOrder)
-        else Block(rows, 1, _less_margin)
+        else OutputGroup(rows, 1, _less_margin)
         for c, rows in zip(problem.constraints, _rows(problem), strict=True)
         if isinstance(c.where, Throughout)
     )
-    watch = Watch(asked.at_point, asked.of_ends, blocks)
+    watch = PathOutputs(asked.at_point, asked.of_ends, blocks)
     return Intervals(problem.slope, problem.state_size, METHOD, grid.all_steps, grid.steps, watch)
 
 
-def given(problem: OptimalControlProblem, grid: Grid) -> Given:
+def given(problem: OptimalControlProblem, grid: Grid) -> IntervalData:
     """For every interval: each constraint's parameters at its first node, and where the margin is kept.
 
     The flight's two ends have none: there the boundary decides, and a goal may lie on the floor of its corridor.
     """
     parameters = [jax.tree.map(lambda p: p[:-1], c.parameters) for c in problem.constraints]
     keep = jnp.ones((problem.nodes - 1, grid.points + 1)).at[0, 0].set(0.0).at[-1, -1].set(0.0)
-    return Given(*_sorted(problem, parameters), keep)
+    return IntervalData(*_sorted(problem, parameters), keep)
 
 
-def outputs(problem: OptimalControlProblem, found: Outcome) -> Outputs:
+def outputs(problem: OptimalControlProblem, found: IntervalOutputs) -> Outputs:
     """What a pass found (or its Jacobian), by constraints."""
     rows = [n for c, n in zip(problem.constraints, _rows(problem), strict=True) if not _throughout(c)]
     points, before, values = iter(found.points), 0, []
@@ -150,12 +153,12 @@ def outputs(problem: OptimalControlProblem, found: Outcome) -> Outputs:
     return Outputs(found.end, found.cost, tuple(values))
 
 
-def prices(problem: OptimalControlProblem, of: Outputs) -> Outcome:
+def prices(problem: OptimalControlProblem, of: Outputs) -> IntervalOutputs:
     """The adjoint of ``outputs``: prices of what a pass finds, from those of every interval's outputs."""
     points, ends = _sorted(problem, of.values)
     flat = [v[:, 0] for v in ends]
     none = jnp.zeros((of.end.shape[0], 0), of.end.dtype)
-    return Outcome(of.end, of.cost, points, jnp.concatenate([none, *flat], axis=1))
+    return IntervalOutputs(of.end, of.cost, points, jnp.concatenate([none, *flat], axis=1))
 
 
 class _Asked(eqx.Module):

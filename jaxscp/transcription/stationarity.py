@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxscp.core.types import Scalar
-from jaxscp.problem.multipliers import FlightMultipliers
+from jaxscp.problem.multipliers import Multipliers
 from jaxscp.problem.problem import OptimalControlProblem, typical_sizes
 from jaxscp.transcription.inequalities import jacobians, pulled
 from jaxscp.transcription.layout import cost_gradient, onto_nodes
@@ -34,7 +34,7 @@ def lagrangian_gradient(
     problem: OptimalControlProblem,
     z: Float[Array, "nodes variables"],
     linear: Linearisation,
-    y: FlightMultipliers,
+    y: Multipliers,
 ) -> Float[Array, "nodes variables"]:
     """With respect to the node variables."""
     equalities = equalities_gradient(problem, z, linear, y)
@@ -45,7 +45,7 @@ def equalities_gradient(
     problem: OptimalControlProblem,
     z: Float[Array, "nodes variables"],
     linear: Linearisation,
-    y: FlightMultipliers,
+    y: Multipliers,
 ) -> Float[Array, "nodes variables"]:
     """The same without the inequalities."""
     n = problem.state_size

@@ -6,7 +6,7 @@ from jaxtyping import Array, Float
 
 from jaxscp.integration import in_jax
 from jaxscp.integration.intervals import Intervals
-from jaxscp.problem.multipliers import FlightMultipliers
+from jaxscp.problem.multipliers import Multipliers
 from jaxscp.problem.problem import OptimalControlProblem
 from jaxscp.transcription.lagrangian import lagrangian
 from jaxscp.transcription.layout import interval_inputs
@@ -15,7 +15,7 @@ from jaxscp.verification.integrator.method import eighth_order
 
 
 def reflown_gradient(
-    problem: OptimalControlProblem, z: Float[Array, "nodes variables"], y: FlightMultipliers, grid: Grid
+    problem: OptimalControlProblem, z: Float[Array, "nodes variables"], y: Multipliers, grid: Grid
 ) -> Float[Array, "nodes variables"]:
     """Of the Lagrangian, with respect to the node variables."""
     return jax.grad(lambda z: lagrangian(problem, z, reflown(problem, z, grid), y))(z)

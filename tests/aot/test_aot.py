@@ -14,16 +14,16 @@ import numpy as np
 import pytest
 
 import jaxscp
-from jaxscp.aot import cache_folder
-from jaxscp.backends import libraries
 from jaxscp import scenarios
+from jaxscp.aot import cache_folder
+from jaxscp.aot.planner_cache import kept
+from jaxscp.aot.pytree_spec import difference, spec_of, zeros_of
+from jaxscp.backends import libraries
 from jaxscp.conic import OSQP
 from jaxscp.conic.interior_point import InteriorPoint
-from jaxscp.aot.planner_cache import kept
-from jaxscp.aot.pytree_spec import describe, difference, prototype
 
 # The paper's mode on few nodes, because it compiles soonest.
-PLANNER = jaxscp.Planner(nodes=10, method=jaxscp.SCP(max_iterations=6), samples=20)
+PLANNER = jaxscp.Planner(nodes=10, method=jaxscp.PTR(max_iterations=6), samples=20)
 
 FRESH = """
 import sys
@@ -101,7 +101,7 @@ def test_a_fresh_process_loads_and_plans_without_tracing(file, answer, tmp_path)
 @pytest.mark.slow
 def test_a_fresh_process_finds_the_lapack_that_a_planner_calls(scenario, tmp_path):
     in_jax = dataclasses.replace(
-        PLANNER, method=jaxscp.SCP(max_iterations=2, conic=InteriorPoint(compiled=False))
+        PLANNER, method=jaxscp.PTR(max_iterations=2, conic=InteriorPoint(compiled=False))
     )
     in_jax.export(tmp_path / "planner.jaxscp", scenario)
     found = planned_afresh(tmp_path / "planner.jaxscp", tmp_path)
@@ -197,11 +197,11 @@ def test_a_folder_that_is_not_there_is_no_place_for_a_file(scenario, tmp_path):
 
 
 def test_what_is_described_can_be_built_again(answer):
-    description = json.loads(json.dumps(describe(answer.trajectory)))
-    again = prototype(description, [jaxscp.Trajectory])
-    assert difference(description, describe(again)) is None
+    description = json.loads(json.dumps(spec_of(answer.trajectory)))
+    again = zeros_of(description, [jaxscp.Trajectory])
+    assert difference(description, spec_of(again)) is None
     with pytest.raises(KeyError):
-        prototype(description, [])
+        zeros_of(description, [])
 
 
 @pytest.mark.slow
@@ -302,14 +302,14 @@ def test_replans_share_what_plans_have_compiled(scenario, monkeypatch):
 
 @pytest.mark.slow
 def test_what_a_name_does_not_tell_is_not_kept(scenario, tmp_path):
-    class Mine(jaxscp.SCP):
+    class Mine(jaxscp.PTR):
         """A method of the user's own, of which another process may know another version."""
 
     method = Mine(max_iterations=1)
     jaxscp.use_cache(tmp_path)
     try:
         assert kept(jaxscp.Planner(nodes=10, method=method), scenario) is not None
-        own_solver = jaxscp.SCP(max_iterations=1, conic=lambda p, a, n: InteriorPoint()(p, a, n))
+        own_solver = jaxscp.PTR(max_iterations=1, conic=lambda p, a, n: InteriorPoint()(p, a, n))
         assert kept(jaxscp.Planner(nodes=10, method=own_solver), scenario) is not None
         jax.jit(lambda: kept(PLANNER, scenario) is None or 1 / 0)()
     finally:
@@ -319,7 +319,7 @@ def test_what_a_name_does_not_tell_is_not_kept(scenario, tmp_path):
 
 @pytest.mark.slow
 def test_a_solver_on_the_host_plans_though_it_cannot_be_kept(scenario, tmp_path):
-    planner = jaxscp.Planner(nodes=10, method=jaxscp.SCP(max_iterations=1, conic=OSQP()), samples=20)
+    planner = jaxscp.Planner(nodes=10, method=jaxscp.PTR(max_iterations=1, conic=OSQP()), samples=20)
     expected = planner(scenario)
     jaxscp.use_cache(tmp_path)
     try:
@@ -354,7 +354,7 @@ def test_an_export_is_whole_though_its_programs_are_in_a_cache(tmp_path):
         "import jaxscp\n"
         "jaxscp.use_cache(sys.argv[1] + '/cache')\n"
         "scenario = jaxscp.scenarios.ascent_to_platform()\n"
-        "planner = jaxscp.Planner(nodes=10, method=jaxscp.SCP(max_iterations=6), samples=20)\n"
+        "planner = jaxscp.Planner(nodes=10, method=jaxscp.PTR(max_iterations=6), samples=20)\n"
         "expected = planner.compile(scenario)(scenario)\n"
         "planner.export(sys.argv[1] + '/planner', scenario)\n"
         "found = jaxscp.load(sys.argv[1] + '/planner', compile=False)(scenario)\n"

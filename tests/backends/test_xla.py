@@ -16,7 +16,7 @@ def power(exponent, v):
 
 @pytest.fixture
 def quick():
-    return xla.quickly(power, static_argnums=0)
+    return xla.jit_with_options(power, static_argnums=0)
 
 
 def test_is_the_function_wherever_it_is_called(quick):
@@ -34,6 +34,6 @@ def test_an_option_that_this_version_does_not_know_is_left_out(monkeypatch):
     xla.options.cache_clear()
     try:
         assert xla.options() == {}
-        assert float(xla.quickly(power, static_argnums=0)(1, jnp.zeros(1))[0]) == 0.0
+        assert float(xla.jit_with_options(power, static_argnums=0)(1, jnp.zeros(1))[0]) == 0.0
     finally:
         xla.options.cache_clear()

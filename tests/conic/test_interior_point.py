@@ -10,12 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxscp import Status, status_names
-from jaxscp.linalg import block_tridiagonal
 from jaxscp.cones import product
 from jaxscp.conic import export
 from jaxscp.conic.equilibrate import equilibrate
-from jaxscp.conic.random_programs import random_program
 from jaxscp.conic.interior_point import InteriorPoint
+from jaxscp.conic.random_programs import random_program
+from jaxscp.linalg import block_tridiagonal
 
 SAME_VALUE = 1e-6  # relative; both stop at a gap of about 1e-8
 FEASIBLE = 1e-6  # in each row's own unit

@@ -9,8 +9,8 @@ import pytest
 from jaxscp import status_names
 from jaxscp.conic import native
 from jaxscp.conic.equilibrate import equilibrate
-from jaxscp.conic.random_programs import random_program
 from jaxscp.conic.interior_point import InteriorPoint
+from jaxscp.conic.random_programs import random_program
 
 pytestmark = pytest.mark.skipif(
     not native.LIBRARY.available(),

@@ -16,10 +16,10 @@ import pytest
 
 from jaxscp.backends import libraries
 from jaxscp.conic import native
-from jaxscp.conic.random_programs import random_program
 from jaxscp.conic.interior_point import InteriorPoint
 from jaxscp.conic.native import gpu
-from jaxscp.conic.program import Multipliers, Near
+from jaxscp.conic.program import ConicMultipliers, WarmStart
+from jaxscp.conic.random_programs import random_program
 
 COMPILER = shutil.which("g++")
 needs_compiler = pytest.mark.skipif(
@@ -54,7 +54,13 @@ def emulated(program, folder: Path) -> ctypes.CDLL:
     # else a process has only once what a block shares, for kernels of all sizes
     flags += ["-fno-gnu-unique"]
     defined = [f"-DJAXSCP_SIZES={gpu.sizes_of(program)}", f"-DJAXSCP_THREADS={THREADS}"]
-    found = ["-isystem", headers, f"-I{Path(native.__file__).parent}", f"-I{libraries.HEADERS}", f"-I{source.parent}"]
+    found = [
+        "-isystem",
+        headers,
+        f"-I{Path(native.__file__).parent}",
+        f"-I{libraries.HEADERS}",
+        f"-I{source.parent}",
+    ]
     subprocess.run([COMPILER, *flags, *defined, *found, str(source), "-o", str(library)], check=True)
     return ctypes.CDLL(str(library))
 
@@ -124,7 +130,9 @@ def test_steps_are_the_same_and_lanes_do_not_touch(kernel, monkeypatch, from_nea
     near = None
     if from_near:
         tenth = lambda v: jnp.full(v.shape, 0.1)  # noqa: E731
-        nears = [Near(tenth(p.gradient), jax.tree.map(tenth, Multipliers.zeros(p))) for p in programs]
+        nears = [
+            WarmStart(tenth(p.gradient), jax.tree.map(tenth, ConicMultipliers.zeros(p))) for p in programs
+        ]
         near = jax.tree.map(lambda *v: jnp.stack(v), *nears)
     expected = iterate(InteriorPoint(max_iterations=STEPS), batch, near)
     monkeypatch.setattr(native, "TARGET", name)

@@ -7,15 +7,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxscp import SCP, ProximalTrustRegion, status_names
+from jaxscp import PTR, ProximalTrustRegion, status_names
+from jaxscp.cones.cone import NonNegative
 from jaxscp.conic import OSQP, Cones
-from jaxscp.conic.random_programs import random_program, smallest_program
 from jaxscp.conic.interior_point import InteriorPoint
 from jaxscp.conic.quadratic import DEFAULT_FACETS, quadratic_form
-from jaxscp.problem.constraint import Constraint, repeat_over_nodes
-from jaxscp.landing.constraints import Limits, within_control_limits
-from jaxscp.cones.cone import NonNegative
+from jaxscp.conic.random_programs import random_program, smallest_program
 from jaxscp.dynamics.double_integrator import DoubleIntegrator
+from jaxscp.landing.constraints import Limits, within_control_limits
+from jaxscp.problem.constraint import Constraint, repeat_over_nodes
 from jaxscp.problem.problem import Boundary, FixedComponents, OptimalControlProblem, fixed_components
 
 SAME_VALUE = 1e-3  # relative; an operator-splitting method at a tolerance of 1e-5
@@ -215,7 +215,7 @@ def test_the_method_runs_on_it(double_integrator):
     """Iterates on OSQP are those on the interior point, as far as the 1-norm of virtual control is unused."""
     histories = []
     for conic in (InteriorPoint(), OSQP()):
-        method = SCP(trust_region=ProximalTrustRegion(1.0), max_iterations=8, coarsest=0.0, conic=conic)
+        method = PTR(trust_region=ProximalTrustRegion(1.0), max_iterations=8, coarsest=0.0, conic=conic)
         result = jax.jit(method.run)(*double_integrator)
         histories.append(result.history)
         assert float(result.history.virtual[-1]) < 1e-4

@@ -10,10 +10,10 @@ from jaxscp import status_names
 from jaxscp.cones import product
 from jaxscp.conic import kkt
 from jaxscp.conic.equilibrate import equilibrate
-from jaxscp.conic.random_programs import random_program
 from jaxscp.conic.interior_point import InteriorPoint
+from jaxscp.conic.program import ConicMultipliers, WarmStart
+from jaxscp.conic.random_programs import random_program
 from jaxscp.conic.warm_start import AT_BOUND, LEAST, MOST, ROOM, central_start
-from jaxscp.conic.program import Multipliers, Near
 
 SAME_COST = 1e-6  # relative: both answers are as accurate as the solver's tolerance
 ROUNDING = 1e-9  # relative, as for the loop from afar
@@ -30,8 +30,8 @@ def solvers(request):
     return eqx.filter_jit(solver), eqx.filter_jit(lambda program, near: solver(program, 0.0, near))
 
 
-def near_of(solution) -> Near:
-    return Near(solution.z, solution.multipliers)
+def near_of(solution) -> WarmStart:
+    return WarmStart(solution.z, solution.multipliers)
 
 
 def moved(program, size: float):
@@ -64,7 +64,7 @@ def test_a_solution_nearby_saves_steps(solvers, seed):
 def test_a_useless_point_does_no_harm(solvers, kind, what):
     afar, near = solvers
     program = random_program(1, kind=kind)
-    zeros = Near(jnp.zeros_like(program.gradient), Multipliers.zeros(program))
+    zeros = WarmStart(jnp.zeros_like(program.gradient), ConicMultipliers.zeros(program))
     noise = lambda v: 1e3 * jax.random.normal(jax.random.key(v.size), v.shape)  # noqa: E731
     useless = {
         "far": lambda: jax.tree.map(noise, (zeros.z, zeros.multipliers)),
@@ -72,7 +72,7 @@ def test_a_useless_point_does_no_harm(solvers, kind, what):
         "wrong signs": lambda: (zeros.z, jax.tree.map(lambda v: v - 10.0, zeros.multipliers)),
         "zeros": lambda: (zeros.z, zeros.multipliers),
     }[what]()
-    expected, found = afar(program), near(program, Near(*useless))
+    expected, found = afar(program), near(program, WarmStart(*useless))
     assert status_names(found.status) == status_names(expected.status)
     assert bool(jnp.all(jnp.isfinite(found.z)))
     if kind == "feasible":
@@ -82,7 +82,7 @@ def test_a_useless_point_does_no_harm(solvers, kind, what):
 def test_where_nothing_is_known_it_starts_from_afar(solvers):
     afar, near = solvers
     program = random_program(2)
-    nothing = Near(program.gradient, Multipliers.zeros(program), known=jnp.zeros((), bool))
+    nothing = WarmStart(program.gradient, ConicMultipliers.zeros(program), known=jnp.zeros((), bool))
     expected, found = afar(program), near(program, nothing)
     assert int(found.iterations) == int(expected.iterations)
     np.testing.assert_array_equal(found.z, expected.z)
@@ -93,7 +93,7 @@ def test_lanes_start_where_their_own_solution_is_thought_to_be():
     solver = jax.jit(InteriorPoint().__call__)
     nears = [near_of(solver(p)) for p in programs]
     nears[1] = eqx.tree_at(lambda n: n.z, nears[1], nears[1].z * jnp.nan)
-    nears = [Near(n.z, n.multipliers, jnp.ones((), bool)) for n in nears]
+    nears = [WarmStart(n.z, n.multipliers, jnp.ones((), bool)) for n in nears]
     started = jax.jit(lambda p, n: InteriorPoint()(p, 0.0, n))
     stacked = jax.tree.map(lambda *v: jnp.stack(v), *zip(programs, nears, strict=True))
     together = jax.jit(jax.vmap(lambda p, n: InteriorPoint()(p, 0.0, n)))(*stacked)
@@ -129,8 +129,9 @@ def test_the_start_is_on_the_central_path_and_keeps_the_gap(norm):
     """
     program, _ = equilibrate(random_program(0, norm=norm))
     key = jax.random.key(0)
-    given = Near(
-        program.gradient, jax.tree.map(lambda v: jax.random.normal(key, v.shape), Multipliers.zeros(program))
+    given = WarmStart(
+        program.gradient,
+        jax.tree.map(lambda v: jax.random.normal(key, v.shape), ConicMultipliers.zeros(program)),
     )
     x, y, s = central_start(program, given)
     mu = float(s.orthant[0, 0] * y.orthant[0, 0])
@@ -153,7 +154,7 @@ def test_the_start_is_on_the_central_path_and_keeps_the_gap(norm):
 def test_virtual_control_is_kept_where_its_multiplier_is_at_the_bound(share):
     """Elsewhere a solution has none: what the links lack is left to the steps."""
     program, _ = equilibrate(random_program(0))
-    near = Near(program.gradient, Multipliers.zeros(program))
+    near = WarmStart(program.gradient, ConicMultipliers.zeros(program))
     soft, weight = program.links.soft, program.links.weight
     sizes = np.where(np.arange(len(weight)) == 1, share * AT_BOUND, 0.5) * weight
     links = sizes[:, None] * soft / jnp.sqrt(jnp.maximum(1.0, jnp.sum(soft, axis=1, keepdims=True)))
@@ -173,7 +174,7 @@ def test_virtual_control_is_kept_where_its_multiplier_is_at_the_bound(share):
 def test_what_is_said_of_the_end_is_measured_there(compiled, norm):
     """Far from the end residuals are foreseen, which is not to be believed of an answer."""
     given = random_program(3, norm=norm)
-    near = Near(jnp.zeros_like(given.gradient), Multipliers.zeros(given))
+    near = WarmStart(jnp.zeros_like(given.gradient), ConicMultipliers.zeros(given))
     loop = jax.jit(InteriorPoint(compiled=compiled).iterate)
     for enough in (1e-2, 1e-6):
         assert_measured(given, loop(given, jnp.asarray(enough), near), enough)
@@ -184,12 +185,16 @@ def assert_measured(given, end, enough: float):
     program, scales = equilibrate(given)
     x, y, s = end.iterate.x, end.iterate.y, end.iterate.s
     q, b, curved = kkt.linear_cost(program), kkt.right_side(program), kkt.times_hessian(program, x)
-    dual = product.tree_axpy(1.0, kkt.times_constraints_transpose(program, y), product.tree_axpy(1.0, curved, q))
+    dual = product.tree_axpy(
+        1.0, kkt.times_constraints_transpose(program, y), product.tree_axpy(1.0, curved, q)
+    )
     primal = product.tree_axpy(1.0, kkt.times_constraints(program, x), product.tree_axpy(-1.0, b, s))
     half = 0.5 * product.tree_dot(x, curved)
     cost, bound = half + product.tree_dot(q, x), -half - product.tree_dot(b, y)
     gap = jnp.abs(cost - bound) / jnp.maximum(scales.cost, jnp.minimum(jnp.abs(cost), jnp.abs(bound)))
-    lacks = [product.tree_max(v) / jnp.maximum(1.0, product.tree_max(of)) for v, of in ((primal, b), (dual, q))]
+    lacks = [
+        product.tree_max(v) / jnp.maximum(1.0, product.tree_max(of)) for v, of in ((primal, b), (dual, q))
+    ]
     np.testing.assert_allclose(end.iterate.tau, 1.0)
     np.testing.assert_allclose(end.error, jnp.max(jnp.stack([gap, *lacks])), rtol=1e-6, atol=1e-12)
     assert float(end.error) <= enough

@@ -5,8 +5,20 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxscp.corridor import synthetic_maps
-from jaxscp.corridor import Corridor, CorridorStatus, EllipsoidDecomposition, InflationFIRI, NoRoute, PointCloud, Polytope, box, build_corridor, chain, pad
+from jaxscp.corridor import (
+    Corridor,
+    CorridorStatus,
+    EllipsoidDecomposition,
+    InflationFIRI,
+    NoRoute,
+    PointCloud,
+    Polytope,
+    box,
+    build_corridor,
+    chain,
+    pad,
+    synthetic_maps,
+)
 from jaxscp.corridor.build import legs
 from jaxscp.corridor.cells import cells_along
 from jaxscp.corridor.overlaps import deepest_ball, intersect

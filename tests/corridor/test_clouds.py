@@ -45,8 +45,8 @@ def test_every_point_has_one_left_within_the_spread(voxel):
 
 
 def test_spread_adds_up_when_thinned_twice():
-    once = PointCloud.of(POINTS).thinned(0.5)
-    assert once.thinned(1.0).spread >= once.spread
+    first_order_only = PointCloud.of(POINTS).thinned(0.5)
+    assert first_order_only.thinned(1.0).spread >= first_order_only.spread
 
 
 def test_voxels_far_smaller_than_the_map_are_counted_without_overflow():
@@ -69,7 +69,7 @@ def written(tmp_path):
         cloud.save(str(tmp_path / f"{encoding.value}.pcd"), encoding=encoding)
     vertex = np.array([tuple(p) for p in POINTS], dtype=[("x", "f4"), ("y", "f4"), ("z", "f4")])
     for text in (True, False):
-        element = plyfile.PlyElement.describe(vertex, "vertex")
+        element = plyfile.PlyElement.spec_of(vertex, "vertex")
         plyfile.PlyData([element], text=text).write(str(tmp_path / f"{'text' if text else 'binary'}.ply"))
     np.save(tmp_path / "array.npy", POINTS)
     np.savetxt(tmp_path / "table.xyz", POINTS, header="x y z")

@@ -9,7 +9,11 @@ from jaxscp.corridor import synthetic_maps
 
 @pytest.mark.parametrize("kind", synthetic_maps.KINDS)
 def test_a_map_keeps_its_promises(kind):
-    place, again, other = synthetic_maps.KINDS[kind](4), synthetic_maps.KINDS[kind](4), synthetic_maps.KINDS[kind](5)
+    place, again, other = (
+        synthetic_maps.KINDS[kind](4),
+        synthetic_maps.KINDS[kind](4),
+        synthetic_maps.KINDS[kind](5),
+    )
     np.testing.assert_array_equal(place.cloud.points, again.cloud.points)
     assert place.cloud.points.shape != other.cloud.points.shape or not np.allclose(
         place.cloud.points, other.cloud.points

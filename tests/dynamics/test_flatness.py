@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import jaxscp
-from jaxscp.dynamics import flatness, rotations
 from jaxscp import scenarios
+from jaxscp.dynamics import flatness, rotations
 from jaxscp.landing.allocation import allocate
 from jaxscp.landing.guess import guess_time, initial_guess
 

@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 
 from jaxscp.backends import libraries
-from jaxscp.integration import tableaus, dispatch
-from jaxscp.dynamics.airframes import paper_mav
-from jaxscp.transcription.layout import interval_inputs
-from jaxscp.dynamics.double_integrator import DoubleIntegrator
-from jaxscp.transcription.shooting import Grid, given, intervals_of
-from jaxscp.integration.intervals import Block, Given, Intervals, Watch, without_data
-from jaxscp.integration import in_cpp, in_jax, native, in_tape
 from jaxscp.backends.codegen import functions, tape, tracing
+from jaxscp.dynamics.airframes import paper_mav
+from jaxscp.dynamics.double_integrator import DoubleIntegrator
+from jaxscp.integration import dispatch, in_cpp, in_jax, in_tape, native, tableaus
+from jaxscp.integration.intervals import IntervalData, Intervals, OutputGroup, PathOutputs, without_data
+from jaxscp.transcription.layout import interval_inputs
+from jaxscp.transcription.shooting import Grid, given, intervals_of
 from tests.support.flights import random_nodes, short_problem
 
 needs_compiled = pytest.mark.skipif(
@@ -97,7 +96,9 @@ class Watched(eqx.Module):
 def watch_of(states):
     """Two rows have a margin together, three each their own."""
     watched = Watched(states)
-    return Watch(watched.at_point, watched.of_ends, (Block(2, 2, neighbours), Block(3, 1, neighbours)))
+    return PathOutputs(
+        watched.at_point, watched.of_ends, (OutputGroup(2, 2, neighbours), OutputGroup(3, 1, neighbours))
+    )
 
 
 def case(rate, states, controls, method, order=2, watch=True):
@@ -107,7 +108,9 @@ def case(rate, states, controls, method, order=2, watch=True):
     if watch:
         intervals = Intervals(rate, states, method, 6, 2, watch_of(states))
         point = jax.random.normal(keys[1], (COUNT, 2)), jax.random.normal(keys[2], (COUNT,))
-        data = Given(point, jax.random.normal(keys[3], (COUNT, 2)), jnp.ones((COUNT, 4)).at[0, 0].set(0.0))
+        data = IntervalData(
+            point, jax.random.normal(keys[3], (COUNT, 2)), jnp.ones((COUNT, 4)).at[0, 0].set(0.0)
+        )
     else:
         intervals = Intervals(rate, states, method, 4, 4)
         data = without_data(intervals, COUNT)
@@ -190,8 +193,8 @@ def test_a_tape_played_by_jax_gives_the_same(rate):
 def test_on_other_devices_what_is_asked_of_the_ends_alone_is_not_forgotten(monkeypatch):
     rate, states, controls = RATES["no parameters"]
     intervals, w, data = case(rate, states, controls, tableaus.CLASSICAL, order=1, watch=False)
-    asked = eqx.tree_at(lambda i: i.watch, intervals, Watch(of_ends=Watched(states).of_ends))
-    data = Given((), jnp.ones((COUNT, 2)), data.keep)
+    asked = eqx.tree_at(lambda i: i.watch, intervals, PathOutputs(of_ends=Watched(states).of_ends))
+    data = IntervalData((), jnp.ones((COUNT, 2)), data.keep)
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     monkeypatch.setattr(libraries.Library, "available", lambda _: False)
     expected = jax.eval_shape(in_jax.linear, asked, w, data)
@@ -264,7 +267,7 @@ def test_what_is_no_arithmetic_is_left_to_jax(name):
     rate, states, controls = RATES["no parameters"]
     intervals, w, data, *prices = case(rate, states, controls, tableaus.CLASSICAL, order)
     whole = jax.tree.map(lambda v: v.astype(int), data.point)
-    for arguments in (by_rate, (intervals, w, Given(whole, data.ends, data.keep), *prices)):
+    for arguments in (by_rate, (intervals, w, IntervalData(whole, data.ends, data.keep), *prices)):
         assert not uses_compiled(ours, *arguments)
         assert_same(jax.jit(theirs)(*arguments), jax.jit(ours)(*arguments))
     assert uses_compiled(ours, intervals, w, data, *prices)

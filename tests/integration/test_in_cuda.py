@@ -7,15 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxscp.integration import tableaus, dispatch
+from jaxscp.backends.codegen import launch
+from jaxscp.integration import dispatch, in_cuda, in_jax, tableaus
+from jaxscp.integration.intervals import Intervals, PathOutputs, without_data
 from jaxscp.transcription.discretise import METHOD
 from jaxscp.transcription.layout import interval_inputs
-from jaxscp.integration.intervals import Intervals, Watch, without_data
-from jaxscp.integration import in_jax, in_cuda
-from jaxscp.backends.codegen import launch
+from tests.integration.test_dispatch import RATES, Everything, Watched, assert_same, case
 from tests.support.flights import random_nodes, short_problem
 from tests.support.kernels import as_on_a_gpu, compiled, handler, needs_compiler, needs_nvidia
-from tests.integration.test_dispatch import RATES, Everything, Watched, assert_same, case
 
 
 @pytest.fixture
@@ -135,5 +134,5 @@ def test_a_gpu_runs_the_kernel_and_other_devices_do_not(monkeypatch):
     assert calls("cuda", intervals, w, data)
     assert not calls("cpu", intervals, w, data)
     assert not in_cuda.serves(intervals, w.astype(jnp.float32))
-    asked = eqx.tree_at(lambda i: i.watch, intervals, Watch(of_ends=Watched(2).of_ends))
+    asked = eqx.tree_at(lambda i: i.watch, intervals, PathOutputs(of_ends=Watched(2).of_ends))
     assert not in_cuda.serves(asked, w)

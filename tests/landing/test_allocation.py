@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxscp import Planner, scenarios, status_names
-from jaxscp.landing.allocation import IN_LAST, allocate, route_positions
 from jaxscp.corridor.polytopes import box, connect
+from jaxscp.landing.allocation import IN_LAST, allocate, route_positions
 
 
 def hall(lengths):

@@ -119,7 +119,7 @@ def test_bad_lane_of_a_batch_gets_a_status_and_harms_no_other(scenario):
     well = eqx.tree_at(lambda s: s.airframe.body.mass, lanes, heavier)
     broken = eqx.tree_at(lambda s: s.airframe.body.mass, well, heavier.at[1].set(jnp.nan))
     broken = eqx.tree_at(lambda s: s.start.position, broken, broken.start.position.at[2].add(50.0))
-    plan = jax.jit(jax.vmap(jaxscp.Planner(nodes=NODES, method=jaxscp.SCP())))
+    plan = jax.jit(jax.vmap(jaxscp.Planner(nodes=NODES, method=jaxscp.PTR())))
     expected, found = plan(well), plan(broken)
     assert np.all(expected.status == Status.converged)
     assert list(jaxscp.status_names(found.status)) == [

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxscp.linalg.eigen.dispatch import eigen, nearest
 from jaxscp.linalg.eigen import in_jax, native
+from jaxscp.linalg.eigen.dispatch import eigen, nearest
 from jaxscp.linalg.eigen.pseudo_inverse import pseudo_inverse
 
 ROUNDING = 1e-13  # of the largest entry: some hundred rotations, each to 1e-16

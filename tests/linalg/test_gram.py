@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxscp.linalg.gram.rows import Normal, Rows
 from jaxscp.linalg.gram import in_jax, native
-from jaxscp.linalg.gram.dispatch import normal
+from jaxscp.linalg.gram.dispatch import gram
+from jaxscp.linalg.gram.system import GramSums, WeightedRows
 
 ROUNDING = 1e-13  # relative, of sums of some hundred products
 
@@ -24,7 +24,7 @@ def random_parts(seed, shapes, places, inputs, sides):
 
     def one(points, rows, coupled):
         draw = lambda *size: jnp.asarray(random.standard_normal((places, points, rows, *size)))  # noqa: E731
-        return Rows(draw(inputs), draw(), draw() if coupled else None, draw(sides))
+        return WeightedRows(draw(inputs), draw(), draw() if coupled else None, draw(sides))
 
     return tuple(one(*shape) for shape in shapes)
 
@@ -45,7 +45,7 @@ def dense(parts):
                 pulled = pulled + np.asarray(part.sides[place, point]).T @ j
         matrices.append(matrix)
         sides.append(pulled)
-    return Normal(jnp.stack(matrices), jnp.stack(sides))
+    return GramSums(jnp.stack(matrices), jnp.stack(sides))
 
 
 def assert_same(found, expected):
@@ -55,7 +55,7 @@ def assert_same(found, expected):
         np.testing.assert_allclose(u, v, rtol=0, atol=100 * ROUNDING * size)
 
 
-@pytest.mark.parametrize("way", [in_jax.normal, pytest.param(native.normal, marks=compiled)])
+@pytest.mark.parametrize("way", [in_jax.gram, pytest.param(native.gram, marks=compiled)])
 @given(
     seed=st.integers(0, 1000),
     shapes=st.lists(st.tuples(st.integers(1, 3), st.integers(1, 4), st.booleans()), min_size=1, max_size=3),
@@ -74,16 +74,16 @@ def test_sums_are_those_of_the_dense_matrices(way, seed, shapes, places, inputs,
 def test_every_level_that_runs_here_gives_the_same(inputs, at_level):
     parts = random_parts(0, [(6, 6, False), (6, 3, True), (1, 8, False)], 3, inputs, 3)
     at_level(native, "TARGET")
-    assert_same(native.normal(parts), dense(parts))
+    assert_same(native.gram(parts), dense(parts))
 
 
 @compiled
 def test_many_places_and_lanes_are_shared_among_threads_without_a_change():
     parts = random_parts(0, [(6, 6, False), (6, 3, True), (1, 8, False)], 200, 23, 3)
-    whole = jax.jit(normal)(parts)
+    whole = jax.jit(gram)(parts)
     assert_same(whole, dense(parts))
     in_lanes = jax.tree.map(lambda v: v.reshape(8, 25, *v.shape[1:]), parts)
-    lanes = jax.jit(jax.vmap(normal))(in_lanes)
+    lanes = jax.jit(jax.vmap(gram))(in_lanes)
     for a, b in zip(jax.tree.leaves(whole), jax.tree.leaves(lanes), strict=True):
         np.testing.assert_array_equal(a, b.reshape(a.shape))
 
@@ -92,9 +92,11 @@ def test_many_places_and_lanes_are_shared_among_threads_without_a_change():
 def test_a_place_that_is_no_number_spoils_no_other():
     parts = random_parts(0, [(2, 3, True)], 4, 9, 1)
     spoilt = (
-        Rows(parts[0].jacobian.at[2, 1, 0, 3].set(jnp.nan), parts[0].weight, parts[0].along, parts[0].sides),
+        WeightedRows(
+            parts[0].jacobian.at[2, 1, 0, 3].set(jnp.nan), parts[0].weight, parts[0].along, parts[0].sides
+        ),
     )
-    clean, found = normal(parts), normal(spoilt)
+    clean, found = gram(parts), gram(spoilt)
     others = np.array([0, 1, 3])
     np.testing.assert_array_equal(found.matrix[others], clean.matrix[others])
     assert bool(jnp.isnan(found.matrix[2, 3, 3]))

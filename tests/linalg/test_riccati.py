@@ -39,14 +39,14 @@ def random_chain(seed, convex, intervals=5, states=4, controls=2):
     if not convex:
         last[:states, :states] += 30.0 * np.eye(states)
     ends = random.standard_normal((2, min(3, states), states))
-    return riccati.Chain(*map(jnp.asarray, (hessian, last, flow, ends[0], ends[1])))
+    return riccati.LQProblem(*map(jnp.asarray, (hessian, last, flow, ends[0], ends[1])))
 
 
 def random_side(chain, seed):
     random = np.random.default_rng(seed)
     nodes, stage = chain.flow.shape[0] + 1, chain.last.shape[0]
     shapes = ((nodes, stage), chain.flow.shape[:2], chain.initial.shape[:1], chain.final.shape[:1])
-    return riccati.Side(*(jnp.asarray(random.standard_normal(s)) for s in shapes))
+    return riccati.KKTVector(*(jnp.asarray(random.standard_normal(s)) for s in shapes))
 
 
 @pytest.mark.parametrize("convex", [True, False])

@@ -91,7 +91,7 @@ def test_second_derivatives_are_refused(flight):
 
 def test_paper_mode_has_no_derivative_and_says_so():
     scenario = scenarios.ascent_to_platform()
-    planner = jaxscp.Planner(nodes=20, method=jaxscp.SCP())
+    planner = jaxscp.Planner(nodes=20, method=jaxscp.PTR())
     with pytest.raises(TypeError, match="no derivative"):
         jax.eval_shape(
             jax.grad(lambda a: planner(eqx.tree_at(lambda s: s.cone_angle, scenario, a)).cost), 0.8

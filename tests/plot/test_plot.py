@@ -27,7 +27,7 @@ def scenario():
 
 @pytest.fixture(scope="module")
 def solution(scenario):
-    return jaxscp.Planner(nodes=NODES, method=jaxscp.SCP())(scenario)
+    return jaxscp.Planner(nodes=NODES, method=jaxscp.PTR())(scenario)
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxscp.scp.hessian_convexification import Chain, condensed, projected
+from jaxscp.scp.hessian_convexification import LinearDynamics, condensed, projected
 
 INTERVALS, STATES, CONTROLS = 7, 3, 2
 STAGE, INPUTS = STATES + CONTROLS, STATES + 2 * CONTROLS
@@ -14,7 +14,7 @@ ROUNDING = 1e-9
 def random_chain(seed):
     random = np.random.default_rng(seed)
     jacobian = 0.5 * random.standard_normal((INTERVALS, STATES, INPUTS))
-    return Chain(jnp.asarray(jacobian), jnp.asarray(random.standard_normal((INTERVALS, STATES))))
+    return LinearDynamics(jnp.asarray(jacobian), jnp.asarray(random.standard_normal((INTERVALS, STATES))))
 
 
 def feasible(chain, seed):

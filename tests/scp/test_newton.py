@@ -10,9 +10,9 @@ import pytest
 
 from benchmarks.rivals.convert import as_arrays
 from jaxscp import NewtonSCP, Planner, Status, acceptable, scenarios, status_names
-from jaxscp.verification.certificate import OPTIMALITY
 from jaxscp.backends.xla import options
 from jaxscp.scp.newton import SLACK
+from jaxscp.verification.certificate import OPTIMALITY
 from tests.support.flights import random_nodes, short_problem
 
 MISSIONS = {"platform": scenarios.platform_to_platform, "ascend": scenarios.ascent_to_platform}

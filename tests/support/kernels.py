@@ -10,8 +10,7 @@ from pathlib import Path
 import jax
 import pytest
 
-from jaxscp.backends import libraries
-from jaxscp.backends import cuda
+from jaxscp.backends import cuda, libraries
 from jaxscp.backends.codegen import launch
 
 HERE = Path(__file__).parent

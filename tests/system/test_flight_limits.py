@@ -12,8 +12,8 @@ import pytest
 
 import jaxscp
 from jaxscp import Planner, scenarios, status_names
-from jaxscp.verification.rollout import fly
 from jaxscp.dynamics.rotations import rotation_matrix
+from jaxscp.verification.rollout import fly
 
 SPEED, TILT, BODY_RATE, THRUST_RATE = 3.5, 0.7, 3.0, 40.0
 BALL, BALL_RADIUS = np.array([3.0, 2.0, 4.4]), 0.4

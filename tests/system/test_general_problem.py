@@ -5,12 +5,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxscp import SCP, NormTrustRegion, ProximalTrustRegion, Status
-from jaxscp.problem.constraint import Constraint, repeat_over_nodes
-from jaxscp.landing.constraints import Limits, within_control_limits
+from jaxscp import PTR, NormTrustRegion, ProximalTrustRegion, Status
 from jaxscp.cones.cone import NonNegative
 from jaxscp.dynamics.double_integrator import DoubleIntegrator
-from jaxscp.problem.problem import Boundary, FixedComponents, OptimalControlProblem, fixed_components, node_times
+from jaxscp.landing.constraints import Limits, within_control_limits
+from jaxscp.problem.constraint import Constraint, repeat_over_nodes
+from jaxscp.problem.problem import (
+    Boundary,
+    FixedComponents,
+    OptimalControlProblem,
+    fixed_components,
+    node_times,
+)
 
 NODES = 21  # even number of intervals, so that the switch of a bang-bang control can fall on a node
 LIMIT = 2.0  # m/s^2
@@ -54,7 +60,7 @@ def rest_to_rest(distance: float) -> OptimalControlProblem:
 
 @pytest.fixture(scope="module")
 def solve():
-    method = SCP(trust_region=ProximalTrustRegion(1e-4), max_iterations=60, tolerance_step=1e-3)
+    method = PTR(trust_region=ProximalTrustRegion(1e-4), max_iterations=60, tolerance_step=1e-3)
     return jax.jit(method.run)
 
 
@@ -79,7 +85,7 @@ def test_minimum_time_rest_to_rest(solve, distance):
 
 def test_paper_trust_region_serves_it_too():
     problem = rest_to_rest(1.0)
-    method = SCP(trust_region=NormTrustRegion(0.01), max_iterations=60)
+    method = PTR(trust_region=NormTrustRegion(0.01), max_iterations=60)
     result = jax.jit(method.run)(problem, straight(problem, 1.0, 5.0))
     assert bool(result.status == Status.converged)
     assert float(result.cost) >= 2.0 * np.sqrt(1.0 / LIMIT) * (1.0 - 1e-6)

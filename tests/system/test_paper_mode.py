@@ -13,7 +13,7 @@ paper = pytest.importorskip("benchmarks.rivals.paper", reason="benchmarks/ is no
 
 from benchmarks.rivals.convert import as_arrays, as_method, as_problem  # noqa: E402
 from benchmarks.rivals.problem import three_box  # noqa: E402
-from jaxscp import SCP, NormTrustRegion, Planner, Status, scenarios, status_names  # noqa: E402
+from jaxscp import PTR, NormTrustRegion, Planner, Status, scenarios, status_names  # noqa: E402
 
 # Both stacks solve their subproblems to about 1e-8; what differs after several of them is how far apart two
 # near-optimal points of a flat optimum lie, measured at 1e-7 of the cost.
@@ -86,7 +86,7 @@ def test_arrays_survive_the_way_there(both, case):
 
 @pytest.mark.parametrize("mission", [scenarios.platform_to_platform, scenarios.ascent_to_platform])
 def test_coarse_subproblems_lead_to_the_same_stop(mission):
-    coarse, exact = (Planner(nodes=30, method=method)(mission()) for method in (SCP(), SCP(coarsest=0.0)))
+    coarse, exact = (Planner(nodes=30, method=method)(mission()) for method in (PTR(), PTR(coarsest=0.0)))
     assert status_names(coarse.status) == status_names(exact.status) == "converged"
     assert int(coarse.iterations) <= int(exact.iterations) + 1
     steps = [int(s.history.conic_iterations.sum()) for s in (coarse, exact)]
@@ -108,11 +108,11 @@ def test_no_iterations_end_by_a_coarse_subproblem():
 @pytest.mark.slow
 def test_virtual_control_that_stays_ends_the_iterations():
     """On a fine grid, a trust region that is dear enough holds iterates where the dynamics are unmet."""
-    found = Planner(nodes=60, method=SCP(NormTrustRegion(20.0)))(scenarios.platform_to_platform())
+    found = Planner(nodes=60, method=PTR(NormTrustRegion(20.0)))(scenarios.platform_to_platform())
     assert status_names(found.status) == "dynamics_unmet"
     count = int(found.iterations)
     virtual, step = (np.asarray(v)[:count] for v in (found.history.virtual, found.history.step))
-    settings = SCP()
+    settings = PTR()
     assert virtual[-1] > settings.tolerance_virtual
     assert step[-1] < settings.tolerance_step < step[-2]
     np.testing.assert_allclose(virtual[-1], virtual[-2], rtol=1e-2)
@@ -122,7 +122,7 @@ def test_virtual_control_that_stays_ends_the_iterations():
 @pytest.mark.parametrize("mission", [scenarios.platform_to_platform, scenarios.ascent_to_platform])
 def test_a_finer_grid_is_planned_as_well(mission):
     """The trust region prices the move of a flight as a whole, whatever its nodes."""
-    coarse, fine = (Planner(nodes=nodes, method=SCP())(mission()) for nodes in (30, 90))
+    coarse, fine = (Planner(nodes=nodes, method=PTR())(mission()) for nodes in (30, 90))
     assert status_names(fine.status) == "converged"
     assert int(fine.iterations) <= int(coarse.iterations) + 2
     np.testing.assert_allclose(fine.cost, coarse.cost, rtol=GRIDS)

@@ -24,7 +24,7 @@ MISSIONS = {
 def test_plans_land_where_they_say(seed):
     mission = list(MISSIONS.values())[seed]
     scenarios = random_instances(jax.random.key(seed), 50, mission)
-    solutions = jax.jit(jax.vmap(jaxscp.Planner(method=jaxscp.SCP())))(scenarios)
+    solutions = jax.jit(jax.vmap(jaxscp.Planner(method=jaxscp.PTR())))(scenarios)
     names = status_names(solutions.status)
     assert set(names) == {"converged"}, names
     assert np.max(solutions.certificate.position_error) < DISTANCE
@@ -36,7 +36,7 @@ def test_plans_land_where_they_say(seed):
 @pytest.mark.slow
 def test_coarse_subproblems_end_where_exact_ones_do():
     scenarios = random_instances(jax.random.key(2), 50)
-    methods = jaxscp.SCP(), jaxscp.SCP(coarsest=0.0)
+    methods = jaxscp.PTR(), jaxscp.PTR(coarsest=0.0)
     coarse, exact = (jax.jit(jax.vmap(jaxscp.Planner(method=method)))(scenarios) for method in methods)
     assert set(status_names(coarse.status)) == set(status_names(exact.status)) == {"converged"}
     np.testing.assert_allclose(coarse.cost, exact.cost, rtol=COARSE)
@@ -46,7 +46,7 @@ def test_coarse_subproblems_end_where_exact_ones_do():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", MISSIONS)
-@pytest.mark.parametrize("method", [jaxscp.SCP(), jaxscp.NewtonSCP()], ids=["paper", "newton"])
+@pytest.mark.parametrize("method", [jaxscp.PTR(), jaxscp.NewtonSCP()], ids=["paper", "newton"])
 def test_scipy_lands_where_the_plan_says(name, method):
     """The certificate's own integrator is not trusted here: SciPy's DOP853 flies the controls."""
     scenario = MISSIONS[name]()

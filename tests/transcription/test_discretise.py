@@ -8,11 +8,11 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from jaxscp import airframes
+from jaxscp.dynamics.base import Dynamics
+from jaxscp.dynamics.double_integrator import DoubleIntegrator
+from jaxscp.problem.problem import Boundary, FixedComponents, OptimalControlProblem, fixed_components
 from jaxscp.transcription.discretise import discretise
 from jaxscp.transcription.layout import interval_inputs
-from jaxscp.dynamics.double_integrator import DoubleIntegrator
-from jaxscp.dynamics.base import Dynamics
-from jaxscp.problem.problem import Boundary, FixedComponents, OptimalControlProblem, fixed_components
 
 EXACT = 1e-12  # RK4 integrates these polynomials exactly; what is left is rounding
 INDEPENDENT = 1e-8  # twenty RK4 steps over a tenth of a second, against an integration to 1e-12

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxscp.cones.cone import NonNegative, SecondOrder
-from jaxscp.transcription.shooting import Grid, evaluate
 from jaxscp.transcription.lagrangian import Residual, merit, no_multipliers, projection, residual
+from jaxscp.transcription.shooting import Grid, evaluate
 from tests.support.flights import random_nodes, short_problem
 
 ROUNDING = 1e-10

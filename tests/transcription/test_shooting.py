@@ -6,11 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxscp.transcription.layout import interval_inputs
-from jaxscp.transcription.discretise import propagate
-from jaxscp.transcription.shooting import Grid, active_points, evaluate, linearise
-from jaxscp.landing.problem import Pose, same_pose
 from jaxscp.dynamics.rotations import from_yaw
+from jaxscp.landing.problem import Pose, same_pose
+from jaxscp.transcription.discretise import propagate
+from jaxscp.transcription.layout import interval_inputs
+from jaxscp.transcription.shooting import Grid, active_points, evaluate, linearise
 from tests.support.flights import random_nodes, short_problem
 
 ROUNDING = 1e-12

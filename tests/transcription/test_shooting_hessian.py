@@ -5,10 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxscp.transcription.layout import interval_inputs
-from jaxscp.transcription.shooting import expand
-from jaxscp.transcription.shooting import Grid, active_points, evaluate, linearise
 from jaxscp.transcription.lagrangian import no_multipliers
+from jaxscp.transcription.layout import interval_inputs
+from jaxscp.transcription.shooting import Grid, active_points, evaluate, linearise, linearise_with_hessian
 from tests.support.flights import random_nodes, short_problem
 
 ROUNDING = 1e-10
@@ -33,7 +32,7 @@ def test_it_is_what_automatic_differentiation_says(grid):
         """Second derivatives times a direction."""
         return jax.jvp(jax.grad(lagrangian), (z,), (d,))[1]
 
-    linear, curvature = jax.jit(lambda z: expand(problem, z, y, grid))(z)
+    linear, curvature = jax.jit(lambda z: linearise_with_hessian(problem, z, y, grid))(z)
     for _ in range(3):
         d, e = (jnp.asarray(random.standard_normal(z.shape)) for _ in range(2))
         v, w = interval_inputs(problem, d), interval_inputs(problem, e)

@@ -6,10 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxscp.transcription.shooting import Grid, evaluate, linearise
 from jaxscp.transcription.lagrangian import lagrangian, no_multipliers
-from jaxscp.verification.gradient import reflown_gradient
+from jaxscp.transcription.shooting import Grid, evaluate, linearise
 from jaxscp.transcription.stationarity import lagrangian_gradient, stationarity
+from jaxscp.verification.gradient import reflown_gradient
 from tests.support.flights import random_nodes, short_problem
 
 ROUNDING = 1e-9  # relative to the largest entry
@@ -50,10 +50,10 @@ def test_residual_is_relative_to_the_cost(point):
     """A random point is not stationary, and is as far from it when cost and multipliers are scaled together."""
     problem, z, linear, y = point
     cost = jnp.asarray(40.0)
-    once = stationarity(lagrangian_gradient(problem, z, linear, y), z, cost)
-    assert float(once) > 0.1
+    first_order_only = stationarity(lagrangian_gradient(problem, z, linear, y), z, cost)
+    assert float(first_order_only) > 0.1
     heavier = eqx.tree_at(lambda p: p.weights, problem, jax.tree.map(lambda w: 3.0 * w, problem.weights))
     again = jax.jit(lambda z: linearise(heavier, z, Grid()))(z)
     threefold = lagrangian_gradient(heavier, z, again, jax.tree.map(lambda v: 3.0 * v, y))
     thrice = stationarity(threefold, z, 3.0 * cost)
-    np.testing.assert_allclose(thrice, once, rtol=1e-9)
+    np.testing.assert_allclose(thrice, first_order_only, rtol=1e-9)

@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxscp import Planner, acceptable, scenarios
-from jaxscp.verification.certificate import certify
 from jaxscp.transcription.layout import trajectory_of
+from jaxscp.verification.certificate import certify
 
 TUMBLING = 1e6  # N of one rotor: far more turns an interval than the integration may take steps
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import jaxscp
-from jaxscp.verification import integrator
-from jaxscp.dynamics.base import Dynamics
-from jaxscp.verification.integrator import in_jax, in_cuda, cuda_source
 from jaxscp.backends.codegen import launch
+from jaxscp.dynamics.base import Dynamics
+from jaxscp.verification import integrator
+from jaxscp.verification.integrator import cuda_source, in_cuda, in_jax
 from tests.support.kernels import as_on_a_gpu, compiled, handler, needs_compiler, needs_nvidia
 
 NODES, SAMPLES = 4, 7
@@ -74,7 +74,11 @@ def emulated(tmp_path, monkeypatch):
 def test_lanes_fly_together(tmp_path, monkeypatch):
     """More states and samples than lanes, and more flights than a block has."""
     monkeypatch.setattr(launch, "TARGET", handler())
-    count, size, samples = 1 + cuda_source.THREADS // cuda_source.LANES, Many.state_size, 2 * cuda_source.LANES + 5
+    count, size, samples = (
+        1 + cuda_source.THREADS // cuda_source.LANES,
+        Many.state_size,
+        2 * cuda_source.LANES + 5,
+    )
     start = jax.random.normal(jax.random.key(1), (count, size))
     given = start, jnp.ones((count, 3, 1)), jnp.full((count, 3), 1.5)
 

@@ -47,8 +47,8 @@ def known(function: Function) -> list[int]:
     """
     t, inputs = function.first, _inputs(function)
     of_parameters = range(inputs, inputs + len(t.parameters))
-    found = {*of_parameters, *t.operations[: t.once, 1].tolist()}
-    read = {place for code, _, *places in t.operations[t.once :].tolist() for place in _read(code, places)}
+    found = {*of_parameters, *t.operations[: t.hoisted, 1].tolist()}
+    read = {place for code, _, *places in t.operations[t.hoisted :].tolist() for place in _read(code, places)}
     return sorted(found & (read | set(t.outputs.tolist())))
 
 
@@ -78,7 +78,7 @@ def numbered(function: Function) -> Numbers:
     t = function.first
     at = {place: place for place in range(t.places)}  # places serve again
     operations = {}
-    for number, (code, to, *places) in enumerate(t.operations[t.once :].tolist(), start=t.places):
+    for number, (code, to, *places) in enumerate(t.operations[t.hoisted :].tolist(), start=t.places):
         operations[number] = code, [at[v] for v in _read(code, places)]
         at[to] = number
     places = {place: i for i, place in enumerate(known(function))}

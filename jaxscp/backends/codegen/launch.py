@@ -9,9 +9,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxscp.backends import cuda, libraries
-from jaxscp.backends.codegen import cuda_text
+from jaxscp.backends.codegen import cuda_text, evaluate_tape
 from jaxscp.backends.codegen.functions import Function
-from jaxscp.integration import in_tape
 
 TARGET = libraries.SWEEP.on_gpu
 
@@ -30,11 +29,11 @@ def image(text: str, capability: str, whose: str) -> bytes | None:
 def known_of(slopes: Function) -> Float[Array, "numbers"]:
     """What a kernel reads of a flight, in its order."""
     places = cuda_text.known(slopes)
-    once = slopes.first._replace(
-        operations=slopes.first.operations[: slopes.first.once], outputs=np.array(places, int)
+    hoisted_tape = slopes.first._replace(
+        operations=slopes.first.operations[: slopes.first.hoisted], outputs=np.array(places, int)
     )
     nothing = [jnp.zeros(())] * (slopes.arguments + slopes.values)  # is read of the arguments
-    found = in_tape.play(once, nothing, slopes.parameters[0])
+    found = evaluate_tape.play(hoisted_tape, nothing, slopes.parameters[0])
     return jnp.stack(found) if found else jnp.zeros(0)
 
 

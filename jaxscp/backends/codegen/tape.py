@@ -24,7 +24,7 @@ class Tape(NamedTuple):
 
     operations: np.ndarray
     """(operations, 5): code, place of the result, places of up to three operands."""
-    once: int
+    hoisted: int
     """How many of the operations, the first, depend on no argument."""
     parameters: list[tuple[int, int]]
     """Which they are."""
@@ -46,8 +46,8 @@ def record(outputs: Sequence[Number], arguments: int) -> Tape:
     absorbed = _products_to_absorb(order, uses, varying)
     inside = set(absorbed.values())
     steps = [_step(n, absorbed.get(n)) for n in order if n.operands and n not in inside]
-    once = sum(n not in varying for _, n, _ in steps)
-    steps = _in_runs(steps[:once]) + _in_runs(steps[once:])
+    hoisted = sum(n not in varying for _, n, _ in steps)
+    steps = _in_runs(steps[:hoisted]) + _in_runs(steps[hoisted:])
     kept = {n for n in order if n not in varying or not n.operands} | set(outputs)
     last = {v: i for i, (_, _, operands) in enumerate(steps) for v in operands}
     free: list[int] = []
@@ -56,14 +56,14 @@ def record(outputs: Sequence[Number], arguments: int) -> Tape:
     for i, (kind, number, operands) in enumerate(steps):
         read = [place[v] for v in operands]
         free += {place[v] for v in operands if v not in kept and last[v] == i}
-        if i < once or not free:
+        if i < hoisted or not free:
             free.append(top)
             top += 1
         place[number] = free.pop()
         operations.append([CODES[kind], place[number], *read, *[0] * (3 - len(read))])
     return Tape(
         np.array(operations, np.int32).reshape(-1, 5),
-        once,
+        hoisted,
         [n.value for n in parameters],
         np.array([n.value for n in constants], float),
         np.array([place[n] for n in outputs], np.int32),

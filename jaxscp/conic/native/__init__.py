@@ -32,7 +32,7 @@ import numpy as np
 from jaxscp.backends import libraries
 from jaxscp.conic import kkt
 from jaxscp.conic.native import gpu
-from jaxscp.conic.program import Near, StagedProgram
+from jaxscp.conic.program import StagedProgram, WarmStart
 from jaxscp.core.types import Scalar
 
 LIBRARY = libraries.INTERIOR_POINT
@@ -58,7 +58,7 @@ def _numbers_fit(program: StagedProgram) -> bool:
     return libraries.in_float64(program) and few and lines <= MAX_LINES and links > 0
 
 
-def call(program: StagedProgram, tolerance: Scalar, near: Near | None = None, **settings: float | int):
+def call(program: StagedProgram, tolerance: Scalar, near: WarmStart | None = None, **settings: float | int):
     """Equilibrate and solve a program on a CPU.
 
     Args:
@@ -75,12 +75,14 @@ def call(program: StagedProgram, tolerance: Scalar, near: Near | None = None, **
     return _call(TARGET, program, tolerance, near, settings)
 
 
-def call_on_gpu(program: StagedProgram, tolerance: Scalar, near: Near | None = None, **settings: float | int):
+def call_on_gpu(
+    program: StagedProgram, tolerance: Scalar, near: WarmStart | None = None, **settings: float | int
+):
     """Equilibrate and solve a program on the GPU that is JAX's default device; see ``call``."""
     return _call(gpu.TARGET, program, tolerance, near, settings | gpu.attributes(program))
 
 
-def _call(target: str, program: StagedProgram, tolerance: Scalar, near: Near | None, attributes: dict):
+def _call(target: str, program: StagedProgram, tolerance: Scalar, near: WarmStart | None, attributes: dict):
     q, b = kkt.linear_cost(program), kkt.right_side(program)
     like = lambda v: jax.ShapeDtypeStruct(v.shape, v.dtype)  # noqa: E731
     scalar, flag = jax.ShapeDtypeStruct((), jnp.float64), jax.ShapeDtypeStruct((), jnp.bool_)

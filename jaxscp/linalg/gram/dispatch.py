@@ -5,12 +5,12 @@ XLA copies and transposes every Jacobian for products that are small; C++ reads 
 
 from jaxscp.backends.libraries import choose, in_float64
 from jaxscp.linalg.gram import in_jax, native
-from jaxscp.linalg.gram.rows import Normal, Rows
+from jaxscp.linalg.gram.system import GramSums, WeightedRows
 
 __all__ = ["Normal", "Rows", "normal"]
 
 
-def normal(parts: tuple[Rows, ...]) -> Normal:
+def gram(parts: tuple[WeightedRows, ...]) -> GramSums:
     """Sums over all constraints, of which there must be one."""
-    cpu = native.normal if in_float64(parts) and native.LIBRARY.available() else None
-    return choose(cpu, in_jax.normal, parts)
+    cpu = native.gram if in_float64(parts) and native.LIBRARY.available() else None
+    return choose(cpu, in_jax.gram, parts)

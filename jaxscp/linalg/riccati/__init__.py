@@ -7,6 +7,6 @@ penalties, and refinement against the system as it stands makes them exact.
 """
 
 from jaxscp.linalg.riccati.recursion import factor, solve
-from jaxscp.linalg.riccati.system import Chain, Factor, Side, apply, no_factor
+from jaxscp.linalg.riccati.system import Factor, KKTVector, LQProblem, apply, no_factor
 
-__all__ = ["Chain", "Factor", "Side", "apply", "factor", "no_factor", "solve"]
+__all__ = ["Factor", "KKTVector", "LQProblem", "apply", "factor", "no_factor", "solve"]

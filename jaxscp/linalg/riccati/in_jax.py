@@ -4,12 +4,12 @@ import jax
 import jax.numpy as jnp
 from jax.scipy.linalg import cho_solve
 
-from jaxscp.linalg.riccati.system import Chain, Factor, Side, apply
+from jaxscp.linalg.riccati.system import Factor, KKTVector, LQProblem, apply
 
 PENALTY = 1e7  # of the conditions at the ends, before refinement
 
 
-def factor(chain: Chain) -> Factor:
+def factor(chain: LQProblem) -> Factor:
     """Eliminate the chain from its end."""
     states, stage = chain.flow.shape[1], chain.last.shape[0]
     controls = chain.flow.shape[2] - stage
@@ -30,7 +30,7 @@ def factor(chain: Chain) -> Factor:
     return Factor(chain, *kept, jnp.linalg.cholesky(first))
 
 
-def solve(factor: Factor, right: Side, refinements: int) -> Side:
+def solve(factor: Factor, right: KKTVector, refinements: int) -> KKTVector:
     """Solve for one right-hand side."""
 
     def refine(_, x):
@@ -40,7 +40,7 @@ def solve(factor: Factor, right: Side, refinements: int) -> Side:
     return jax.lax.fori_loop(0, 1 + refinements, refine, jax.tree.map(jnp.zeros_like, right))
 
 
-def _solve_once(factor: Factor, right: Side) -> Side:
+def _solve_once(factor: Factor, right: KKTVector) -> KKTVector:
     """Solve but for the penalties of the ends and for rounding."""
     chain = factor.chain
     states, stage = chain.flow.shape[1], chain.last.shape[0]
@@ -74,4 +74,4 @@ def _solve_once(factor: Factor, right: Side) -> Side:
     nodes = jnp.concatenate([start[None], rest])
     initial = PENALTY * (chain.initial @ start[:states] - right.initial)
     final = PENALTY * (chain.final @ nodes[-1, :states] - right.final)
-    return Side(nodes, price, initial, final)
+    return KKTVector(nodes, price, initial, final)

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from jaxscp.core.types import Flag, Scalar
 
 
-class Chain(eqx.Module):
+class LQProblem(eqx.Module):
     """The system's matrix."""
 
     hessian: Float[Array, "intervals inputs inputs"]
@@ -27,14 +27,14 @@ class Chain(eqx.Module):
     final: Float[Array, "final states"]
     """E."""
 
-    def shifted(self, shift: Scalar) -> "Chain":
+    def shifted(self, shift: Scalar) -> "LQProblem":
         """With that much more curvature in every variable."""
         more = shift * jnp.eye(self.hessian.shape[-1], dtype=self.hessian.dtype)
         last = shift * jnp.eye(self.last.shape[-1], dtype=self.last.dtype)
         return eqx.tree_at(lambda c: (c.hessian, c.last), self, (self.hessian + more, self.last + last))
 
 
-class Side(eqx.Module):
+class KKTVector(eqx.Module):
     """A right-hand side, or an unknown of its shape."""
 
     nodes: Float[Array, "nodes variables"]
@@ -50,7 +50,7 @@ class Side(eqx.Module):
 class Factor(eqx.Module):
     """What the recursion leaves for any right-hand side."""
 
-    chain: Chain
+    chain: LQProblem
     value: Float[Array, "intervals variables variables"]
     """P_{i+1}: curvature of the cost to go from the end of an interval."""
     lower: Float[Array, "intervals controls controls"]
@@ -66,7 +66,7 @@ class Factor(eqx.Module):
         return jnp.all(jnp.isfinite(self.first)) & jnp.all(jnp.isfinite(self.lower))
 
 
-def no_factor(chain: Chain) -> Factor:
+def no_factor(chain: LQProblem) -> Factor:
     """What is not definite, in the shape of what is."""
     count, stage = chain.flow.shape[0], chain.last.shape[0]
     controls = chain.flow.shape[2] - stage
@@ -74,7 +74,7 @@ def no_factor(chain: Chain) -> Factor:
     return Factor(chain, *(jnp.full(shape, jnp.nan, chain.flow.dtype) for shape in shapes))
 
 
-def apply(chain: Chain, x: Side) -> Side:
+def apply(chain: LQProblem, x: KKTVector) -> KKTVector:
     """The system's matrix times a vector."""
     states = chain.flow.shape[1]
     w = _inputs(chain, x.nodes)
@@ -84,14 +84,14 @@ def apply(chain: Chain, x: Side) -> Side:
     nodes = nodes.at[0, :states].add(chain.initial.T @ x.initial)
     nodes = nodes.at[-1, :states].add(chain.final.T @ x.final)
     flow = jnp.einsum("isw,iw->is", chain.flow, w) - x.nodes[1:, :states]
-    return Side(nodes, flow, chain.initial @ x.nodes[0, :states], chain.final @ x.nodes[-1, :states])
+    return KKTVector(nodes, flow, chain.initial @ x.nodes[0, :states], chain.final @ x.nodes[-1, :states])
 
 
-def _inputs(chain: Chain, nodes: Float[Array, "nodes variables"]) -> Float[Array, "intervals inputs"]:
+def _inputs(chain: LQProblem, nodes: Float[Array, "nodes variables"]) -> Float[Array, "intervals inputs"]:
     return jnp.concatenate([nodes[:-1], nodes[1:, chain.flow.shape[1] :]], axis=1)
 
 
-def _scatter(chain: Chain, w: Float[Array, "intervals inputs"]) -> Float[Array, "nodes variables"]:
+def _scatter(chain: LQProblem, w: Float[Array, "intervals inputs"]) -> Float[Array, "nodes variables"]:
     """The adjoint of ``_inputs``."""
     states, stage = chain.flow.shape[1], chain.last.shape[0]
     nodes = jnp.zeros((w.shape[0] + 1, stage), w.dtype).at[:-1].set(w[:, :stage])

@@ -11,14 +11,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxscp.backends import libraries
-from jaxscp.linalg.gram.rows import Normal, Rows
+from jaxscp.linalg.gram.system import GramSums, WeightedRows
 
 LIBRARY = libraries.NORMAL
 (TARGET,) = LIBRARY.targets
 
 
-def normal(parts: tuple[Rows, ...]) -> Normal:
-    """``in_jax.normal``, to rounding."""
+def gram(parts: tuple[WeightedRows, ...]) -> GramSums:
+    """``in_jax.gram``, to rounding."""
     places, _, _, inputs = parts[0].jacobian.shape
     sides = parts[0].sides.shape[-1]
     arrays = []
@@ -31,4 +31,4 @@ def normal(parts: tuple[Rows, ...]) -> Normal:
         TARGET, [jax.ShapeDtypeStruct(s, jnp.float64) for s in shapes], vmap_method="broadcast_all"
     )
     coupled = np.array([p.along is not None for p in parts], np.int32)
-    return Normal(*call(*arrays, coupled=coupled))
+    return GramSums(*call(*arrays, coupled=coupled))

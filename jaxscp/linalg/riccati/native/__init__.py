@@ -11,22 +11,24 @@ import numpy as np
 
 from jaxscp.backends import libraries
 from jaxscp.linalg.riccati.in_jax import PENALTY
-from jaxscp.linalg.riccati.system import Chain, Factor, Side, no_factor
+from jaxscp.linalg.riccati.system import Factor, KKTVector, LQProblem, no_factor
 
 LIBRARY = libraries.RICCATI
 FACTOR, SOLVE = LIBRARY.targets
 
 
-def factor(chain: Chain) -> Factor:
+def factor(chain: LQProblem) -> Factor:
     """``in_jax.factor``, to rounding."""
     like = jax.eval_shape(no_factor, chain)
     found = _call(FACTOR, [like.value, like.lower, like.gain, like.first], chain)
     return Factor(chain, *found)
 
 
-def solve(factor: Factor, right: Side, refinements: int) -> Side:
+def solve(factor: Factor, right: KKTVector, refinements: int) -> KKTVector:
     """``in_jax.solve``, to rounding."""
-    return Side(*_call(SOLVE, jax.tree.leaves(right), (factor, right), refinements=np.int64(refinements)))
+    return KKTVector(
+        *_call(SOLVE, jax.tree.leaves(right), (factor, right), refinements=np.int64(refinements))
+    )
 
 
 def _call(target: str, like, args, **attributes):

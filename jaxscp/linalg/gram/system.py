@@ -4,7 +4,7 @@ import equinox as eqx
 from jaxtyping import Array, Float
 
 
-class Rows(eqx.Module):
+class WeightedRows(eqx.Module):
     """The Jacobian of a constraint at every point of every place, and the weights of its rows: their matrix is
     diag(weight), and where there is an ``along`` also along along' over the rows of each point, as that of a
     second-order cone's scaling is."""
@@ -16,7 +16,7 @@ class Rows(eqx.Module):
     """v, of which there may be several; as many for all constraints."""
 
 
-class Normal(eqx.Module):
+class GramSums(eqx.Module):
     """Sums over the constraints."""
 
     matrix: Float[Array, "places inputs inputs"]
