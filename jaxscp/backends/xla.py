@@ -49,14 +49,14 @@ class jit_with_options:
 
     def __call__(self, *args: Any) -> Any:
         """Call the function."""
-        return (self._part if inside(args) else self._program)(*args)
+        return (self._part if is_traced(args) else self._program)(*args)
 
     @functools.cached_property
     def _program(self) -> Callable[..., Any]:
         return jax.jit(self.function, static_argnums=self._static, compiler_options=options())
 
 
-def inside(args: Any) -> bool:
+def is_traced(args: Any) -> bool:
     """Whether a call with these arguments is part of another program, or of a transformation."""
     leaves = [jnp.zeros(()), *jax.tree.leaves(args)]  # under ``jit`` even the zero is traced
     return any(isinstance(leaf, Tracer) for leaf in leaves)

@@ -21,8 +21,8 @@ from jaxscp.core.status import StatusCode
 from jaxscp.core.types import Controls, Nodes, Points, Scalar, States, Vector3
 from jaxscp.dynamics import flatness, rotations
 from jaxscp.landing.allocation import route_positions
+from jaxscp.landing.mission import BodyState, Mission
 from jaxscp.landing.problem import in_cone
-from jaxscp.landing.scenario import BodyState, LandingScenario
 
 # A guess needs no more: within a third of the effort along a straight line. Its units do what equilibration would.
 GUESS_CONIC = InteriorPoint(tolerance=1e-2, refinements=0, equilibration=0)
@@ -49,7 +49,7 @@ class Guess(eqx.Module):
     """How the guess's own conic program ended."""
 
 
-def initial_guess(scenario: LandingScenario, allocation: Int[Array, "intervals"]) -> Guess:
+def initial_guess(scenario: Mission, allocation: Int[Array, "intervals"]) -> Guess:
     """Guess a flight through the corridor.
 
     Args:
@@ -74,7 +74,7 @@ def initial_guess(scenario: LandingScenario, allocation: Int[Array, "intervals"]
 
 
 def _flight(
-    scenario: LandingScenario, path: tuple[Points, Points, Points], interval: Scalar
+    scenario: Mission, path: tuple[Points, Points, Points], interval: Scalar
 ) -> tuple[States, Controls]:
     """States and controls of the vehicle on a path of positions, velocities and accelerations; both ends as asked."""
     position, velocity, acceleration = path
@@ -117,7 +117,7 @@ class Units(eqx.Module):
         position, velocity, acceleration, _ = jnp.split(z, 4, axis=1)
         return self.origin + self.length * position, self.speed * velocity, self.acceleration * acceleration
 
-    def end(self, scenario: LandingScenario, state: BodyState) -> Float[Array, "9"]:
+    def end(self, scenario: Mission, state: BodyState) -> Float[Array, "9"]:
         """Position, velocity and acceleration at an end: what hover thrust makes of the attitude there."""
         body = scenario.airframe.body
         acceleration = body(state.vector(), body.hover_thrust())[3:6]
@@ -125,13 +125,13 @@ class Units(eqx.Module):
         return jnp.concatenate([position, state.velocity / self.speed, acceleration / self.acceleration])
 
     @classmethod
-    def of(cls, scenario: LandingScenario, allocation: Int[Array, "intervals"], duration: Scalar) -> "Units":
+    def of(cls, scenario: Mission, allocation: Int[Array, "intervals"], duration: Scalar) -> "Units":
         """Units of a flight of a given duration."""
         length = jnp.maximum(_route_length(scenario, allocation), LEAST_LENGTH)
         return cls(scenario.goal.position, length, 2.0 * duration / allocation.shape[0])
 
 
-def guess_time(scenario: LandingScenario, allocation: Int[Array, "intervals"]) -> Scalar:
+def guess_time(scenario: Mission, allocation: Int[Array, "intervals"]) -> Scalar:
     """Flight time of the guess in s: from rest to rest along the route, at a comfortable acceleration."""
     length = _route_length(scenario, allocation)
     body = scenario.airframe.body
@@ -143,14 +143,12 @@ def guess_time(scenario: LandingScenario, allocation: Int[Array, "intervals"]) -
     return jnp.clip(duration, scenario.dilation_min, scenario.dilation_max)
 
 
-def _route_length(scenario: LandingScenario, allocation: Int[Array, "intervals"]) -> Scalar:
+def _route_length(scenario: Mission, allocation: Int[Array, "intervals"]) -> Scalar:
     route = route_positions(scenario.corridor, scenario.start.position, scenario.goal.position, allocation)
     return jnp.sum(jnp.linalg.norm(jnp.diff(route, axis=0), axis=1))
 
 
-def guess_program(
-    scenario: LandingScenario, allocation: Int[Array, "intervals"], units: Units
-) -> StagedProgram:
+def guess_program(scenario: Mission, allocation: Int[Array, "intervals"], units: Units) -> StagedProgram:
     """The path's program over node variables (position, velocity, acceleration, jerk), in the given units."""
     nodes = allocation.shape[0] + 1
     dtype = scenario.start.position.dtype
@@ -182,7 +180,7 @@ def _prices(nodes: int, dtype) -> Float[Array, "12"]:
     return jnp.repeat(2.0 * each, 3)
 
 
-def _triple_integrator_links(scenario: LandingScenario, units: Units, nodes: int) -> CouplingRows:
+def _triple_integrator_links(scenario: Mission, units: Units, nodes: int) -> CouplingRows:
     """Exact first-order hold of the jerk, and both ends fixed in position, velocity and acceleration."""
     h = 0.5  # an interval, in units of two
     eye, none = jnp.eye(3), jnp.zeros((3, 3))

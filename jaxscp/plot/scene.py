@@ -13,7 +13,8 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 from jaxscp.corridor.polytopes import Corridor, Polytope
 from jaxscp.corridor.shapes import polygons
 from jaxscp.dynamics import rotations
-from jaxscp.landing.scenario import BodyState, Ellipsoids, LandingScenario
+from jaxscp.landing.mission import BodyState, Ellipsoids
+from jaxscp.landing.scenario import LandingScenario
 from jaxscp.plot.curves import Array, Curves
 from jaxscp.plot.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILLION
 
