@@ -1,4 +1,4 @@
-"""Compiles the libraries in C++, where there is a compiler for it."""
+"""Build hook: compiles the C++ libraries if a C++ compiler is present."""
 
 import importlib.util
 import os
@@ -12,7 +12,7 @@ from pathlib import Path
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 SHARED = Path("jaxscp/backends/native")
-LIBRARIES = {  # with what is compiled for a level of the instruction set, and what for any
+LIBRARIES = {  # sources compiled once for each instruction level, and sources compiled for any processor
     Path("jaxscp/conic/native/interior_point"): (("handler",), ("gpu_handler",)),
     Path("jaxscp/linalg/gram/native/normal"): (("handler",), ()),
     Path("jaxscp/linalg/riccati/native/riccati"): (("handler",), ()),
@@ -22,16 +22,16 @@ LIBRARIES = {  # with what is compiled for a level of the instruction set, and w
 X86 = {
     "v4": ("-march=x86-64-v4", "-mprefer-vector-width=512"),
     "v3": ("-march=x86-64-v3",),
-}  # AVX-512; AVX2 and FMA
+}  # v4: AVX-512; v3: AVX2 and FMA
 ANYWHERE = {"any": ()}
 FLAGS = ("-std=c++20", "-O3", "-fno-math-errno", "-fPIC", "-Wno-psabi")
 
 
 class NativeBuild(BuildHookInterface):
-    """One library for each level of the instruction set; which one runs is decided where the package is used."""
+    """One library for each instruction level; the package chooses a level when it is used."""
 
     def initialize(self, version: str, build_data: dict) -> None:
-        """Compile into the source tree, from where both editable and ordinary installs take the libraries."""
+        """Compile into the source tree: editable and ordinary installs both take the libraries from there."""
         if self.target_name != "wheel":
             return
         compiler = shutil.which(os.environ.get("CXX", "")) or shutil.which("c++") or shutil.which("g++")
@@ -54,7 +54,10 @@ class NativeBuild(BuildHookInterface):
 
 
 def compile_library(compiler: str, root: Path, stem: Path, level: str, machine: tuple[str, ...]) -> Path:
-    """Build one level. What asks the processor for its instructions must not use them, so it is compiled for any."""
+    """Build one level; returns the library.
+
+    ``runs_here.cc`` asks the processor for its instructions and must not use them: it is compiled for any processor.
+    """
     headers = Path(importlib.util.find_spec("jaxlib").submodule_search_locations[0]) / "include"
     folder = (root / stem).parent
     of_level, of_any = LIBRARIES[stem]
@@ -72,5 +75,5 @@ def compile_library(compiler: str, root: Path, stem: Path, level: str, machine: 
 
 
 def run(*command: str | Path) -> None:
-    """Run a command; what it printed goes with the error."""
+    """Run a command; an error carries the command's output."""
     subprocess.run([str(part) for part in command], check=True, capture_output=True, text=True)

@@ -1,4 +1,4 @@
-"""Planners compiled before their first call, stored, and loaded by another process."""
+"""Planners compiled ahead of time, stored, and loaded by another process."""
 
 import dataclasses
 import json
@@ -22,7 +22,7 @@ from jaxscp.backends import libraries
 from jaxscp.conic import OSQP
 from jaxscp.conic.interior_point import InteriorPoint
 
-# The paper's mode on few nodes, because it compiles soonest.
+# The paper's mode on few nodes: the shortest compilation.
 PLANNER = jaxscp.Planner(nodes=10, method=jaxscp.PTR(max_iterations=6), samples=20)
 
 FRESH = """
@@ -51,7 +51,7 @@ def expected(scenario):
 
 @pytest.fixture(scope="module")
 def answer(loaded, scenario):
-    """Of the loaded planner: to compile the planner itself as well takes as long as all other tests here."""
+    """Plan of the loaded planner. Compilation of the planner itself would take as long as all other tests here."""
     return loaded(scenario)
 
 
@@ -80,7 +80,7 @@ def test_a_loaded_planner_gives_the_same_bits(loaded, scenario, expected):
 
 
 def planned_afresh(file, tmp_path, *needless):
-    """Leaves of the plan by another process, which imports none of these."""
+    """Leaves of the plan by another process, which imports none of these modules."""
     found = tmp_path / "answer.npz"
     subprocess.run(
         [sys.executable, "-c", FRESH, file, found, *needless],
@@ -93,7 +93,7 @@ def planned_afresh(file, tmp_path, *needless):
 
 def test_a_fresh_process_loads_and_plans_without_tracing(file, answer, tmp_path):
     compiled = all(library.available() for library in libraries.EVERY)
-    needless = ["scipy.linalg"] if compiled else []  # what JAX imports for LAPACK's sake
+    needless = ["scipy.linalg"] if compiled else []  # JAX imports this module for LAPACK
     for one, other in zip(planned_afresh(file, tmp_path, *needless), jax.tree.leaves(answer), strict=True):
         np.testing.assert_array_equal(one, other)
 
@@ -262,7 +262,7 @@ def kept_planners(folder):
 
 @pytest.mark.slow
 def test_a_kept_planner_is_found_by_the_next_process(tmp_path):
-    """Which traces nothing, gets the same bits, and makes anew what is damaged."""
+    """The next process traces nothing, gets the same bits, and replaces a damaged file."""
     run = lambda code: subprocess.run(  # noqa: E731
         [sys.executable, "-c", code, tmp_path], check=True, capture_output=True, text=True
     )
@@ -285,7 +285,7 @@ def test_a_folder_that_cannot_be_made_is_not_in_use(scenario, tmp_path):
 
 
 def test_calls_that_are_not_for_the_default_device_compile_as_jax_does(scenario):
-    with jax.default_device(jax.devices()[0]):  # which others may follow in place of the default
+    with jax.default_device(jax.devices()[0]):  # code inside may use another default device
         assert kept(PLANNER, scenario) is None
     with jax.disable_jit():
         assert kept(PLANNER, scenario) is None
@@ -303,7 +303,7 @@ def test_replans_share_what_plans_have_compiled(scenario, monkeypatch):
 @pytest.mark.slow
 def test_what_a_name_does_not_tell_is_not_kept(scenario, tmp_path):
     class Mine(jaxscp.PTR):
-        """A method of the user's own, of which another process may know another version."""
+        """A method defined by the user; another process may have another version of the class."""
 
     method = Mine(max_iterations=1)
     jaxscp.use_cache(tmp_path)
@@ -347,7 +347,7 @@ def test_a_cache_is_filled_and_only_when_asked_for(tmp_path):
 
 @pytest.mark.slow
 def test_an_export_is_whole_though_its_programs_are_in_a_cache(tmp_path):
-    """On the CPU, a program that came out of JAX's cache lacks functions when it is stored again."""
+    """On the CPU, a program from JAX's cache lacks functions when stored again."""
     program = (
         "import sys, jax\n"
         "jax.config.update('jax_enable_x64', True)\n"

@@ -1,4 +1,4 @@
-"""Loops in rounds: every lane ends where it would alone, and no lane is stepped once it has ended."""
+"""Batched loops: each batch element has the same result as alone, and is not stepped after its end."""
 
 import os
 import subprocess
@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from jaxscp.core import batching
 from jaxscp.core.batching import TILE
 
-ROUNDING = 1e-14  # relative: a batch may fuse a product and a sum that one lane does not
+ROUNDING = 1e-14  # relative: a batch may fuse a product and a sum, and one element alone may not
 FULL = TILE["cpu"][0]
-LARGEST = 3 * FULL + 5  # lanes: several tiles, and one that is not full
+LARGEST = 3 * FULL + 5  # batch elements: several chunks, and one that is not full
 
 
 def grow(factor, shift, times, start):
@@ -56,7 +56,7 @@ def test_the_few_that_are_left_are_stepped_by_smaller_tiles(monkeypatch, sizes):
     monkeypatch.setitem(batching.TILE, "cpu", sizes)
     rounds = [8 * [3] + 3 * [1] + 12 * [2], LARGEST * [1], [0] * (LARGEST - 1) + [2]]
     factor, start = jnp.linspace(0.9, 1.1, LARGEST), jnp.arange(LARGEST * 2.0).reshape(-1, 2)
-    run = jax.jit(lambda *given: jax.vmap(grow, in_axes=(0, None, 0, 0))(*given))  # for these sizes
+    run = jax.jit(lambda *given: jax.vmap(grow, in_axes=(0, None, 0, 0))(*given))  # compiles for these sizes
     for counts in rounds:
         times = jnp.zeros(LARGEST, int).at[: len(counts)].set(jnp.array(counts))
         left, v = run(factor, 0.1, times, start)
@@ -76,7 +76,7 @@ def test_a_batch_of_batches_is_one_larger_batch():
 
 def test_a_lane_that_has_ended_is_not_stepped_again():
     def step(_, state):
-        return state[0] - 1, jnp.where(state[0] > 0, state[1], jnp.nan)  # a step too many would show
+        return state[0] - 1, jnp.where(state[0] > 0, state[1], jnp.nan)  # a superfluous step gives NaN
 
     run = jax.vmap(lambda times: batching.while_loop(lambda s: s[0] > 0, step, None, (times, jnp.ones(()))))
     np.testing.assert_array_equal(run(jnp.array([0, 1, 17, 3]))[1], 1.0)
@@ -117,7 +117,7 @@ def test_gradients_go_round_it():
 
 
 def test_batches_share_what_is_not_their_own():
-    """Three axes, each with an array of its own, and one that two of them index."""
+    """Three batch axes: one array for each axis, and one array over two axes."""
 
     def one(a, b, c, times):
         step = lambda fixed, s: (s[0] - 1, fixed[0] * s[1] + fixed[1] * fixed[2])  # noqa: E731
@@ -165,7 +165,7 @@ def test_each_device_steps_its_own_lanes():
 
 @pytest.mark.parametrize("lanes_of", [(3,), (20,), (2, 9)], ids=str)
 def test_tiles_give_what_all_lanes_at_once_give(lanes_of):
-    """Also with another argument that the lanes share, in two batches inside each other, and in none."""
+    """Also with an argument that the batch elements share, in two nested batches, and without a batch."""
     own = jax.random.normal(jax.random.key(0), (*lanes_of, 4))
     shared = jnp.arange(4.0)
     act = lambda fixed: {"dot": jnp.vdot(*fixed), "sum": fixed[0] + fixed[1]}  # noqa: E731

@@ -1,4 +1,4 @@
-"""Pictures: what is drawn, and that it is what was planned."""
+"""Pictures: the drawn curves, compared with the plan."""
 
 import dataclasses
 import subprocess
@@ -37,7 +37,7 @@ def figure(scenario, solution):
 
 @pytest.fixture(scope="module")
 def panels(figure):
-    """Flat axes by their label."""
+    """Two-dimensional axes by their label."""
     return {ax.get_ylabel(): ax for ax in figure.axes if not isinstance(ax, Axes3D)}
 
 
@@ -112,7 +112,7 @@ def test_scene_shows_all_there_is_to_one_scale(scene, scenario):
     }  # fmt: skip
     assert names <= set(scene.get_legend_handles_labels()[1])
     ranges = np.ptp([scene.get_xlim(), scene.get_ylim(), scene.get_zlim()], axis=1)
-    # box_aspect and data ranges in one ratio on all axes: a metre is a metre whichever way it points
+    # box_aspect and data ranges have one ratio on all axes: equal scale in all directions
     ratio = np.asarray(scene._box_aspect) / ranges
     np.testing.assert_allclose(ratio, ratio[0], rtol=1e-6)
 

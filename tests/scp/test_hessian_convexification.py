@@ -1,4 +1,4 @@
-"""Convex curvature: convex always, and the same quadratic wherever the linearised dynamics hold."""
+"""Convexified Hessian: always convex, and the same quadratic where the linearised dynamics hold."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -18,7 +18,7 @@ def random_chain(seed):
 
 
 def feasible(chain, seed):
-    """Intervals' variables that obey the chain from a first state of zero, and the last stage."""
+    """Variables of the intervals that obey the linear dynamics from a zero state, and the last stage."""
     random = np.random.default_rng(seed)
     controls = random.standard_normal((INTERVALS + 1, CONTROLS))
     state, stages = np.zeros(STATES), []
@@ -60,7 +60,7 @@ def test_projection_keeps_what_is_convex():
 
 @pytest.mark.parametrize("seed", range(5))
 def test_condensing_changes_nothing_where_the_dynamics_hold(seed):
-    """Blocks that are not convex by themselves, in a problem that is: states curve down, controls up."""
+    """Blocks that are not convex, in a convex problem: negative curvature in states, positive in controls."""
     down = jnp.diag(jnp.concatenate([-0.05 * jnp.ones(STATES), jnp.ones(CONTROLS), 2.0 * jnp.ones(CONTROLS)]))
     hessian = jnp.broadcast_to(down, (INTERVALS, INPUTS, INPUTS)) + 0.05 * random_hessian(seed)
     chain, final = random_chain(seed), jnp.eye(STAGE)

@@ -1,4 +1,4 @@
-"""The method with second derivatives: local optima by an independent solver's account, safe between the nodes."""
+"""The method with second derivatives: local optima, checked by IPOPT, and no violation between the nodes."""
 
 import dataclasses
 
@@ -16,8 +16,8 @@ from jaxscp.verification.certificate import OPTIMALITY
 from tests.support.flights import random_nodes, short_problem
 
 MISSIONS = {"platform": scenarios.platform_to_platform, "ascend": scenarios.ascent_to_platform}
-# Relative. Where short intervals lie is a choice with many local optima of nearly one cost, and who starts elsewhere
-# may end in another.
+# Relative. Many positions of the short intervals are local optima with nearly the same cost. Another start may lead to
+# another of them.
 SAME_COST = 2e-3
 
 
@@ -42,7 +42,7 @@ def test_optimal_by_ipopts_account_and_safe_between_nodes(mission):
 
 @pytest.mark.slow
 def test_lanes_end_as_they_do_alone():
-    """Three vehicles, the second of them too heavy for its rotors."""
+    """Three vehicles; the second is too heavy for its rotors."""
     base = scenarios.ascent_to_platform()
     masses = jnp.array([0.928, 40.0, 0.85])
     make = lambda mass: eqx.tree_at(lambda s: s.airframe.body.mass, base, mass)  # noqa: E731
@@ -56,7 +56,7 @@ def test_lanes_end_as_they_do_alone():
 
 
 def by_coarsest(act):
-    """A function of NewtonSCP with that accuracy of the first subproblem, and of more; compiled once."""
+    """``act(NewtonSCP(coarsest), *more)`` as a function of ``coarsest`` and ``more``; compiled once."""
 
     def function(coarsest, *more):
         return act(eqx.tree_at(lambda method: method.coarsest, NewtonSCP(), coarsest), *more)
@@ -66,7 +66,7 @@ def by_coarsest(act):
 
 @pytest.fixture(scope="module")
 def ascent():
-    """Problem and guess."""
+    """Problem and guess of Case 2."""
     setup = jax.jit(Planner(nodes=20).setup, compiler_options=options())
     return setup(scenarios.ascent_to_platform())[:2]
 
@@ -82,7 +82,7 @@ def test_coarse_subproblems_lead_to_an_optimum_of_the_same_cost(ascent):
 
 
 def test_no_iterations_end_by_a_coarse_subproblem(ascent):
-    """Where nothing is asked for, nothing moves, which says nothing of the point."""
+    """At tolerance 1e9 the subproblem makes no step; this must not count as convergence."""
     problem, z = ascent
     step = by_coarsest(lambda method, state: method.step(problem, state, SLACK[0]))
     state = jax.jit(NewtonSCP().init)(problem, z)

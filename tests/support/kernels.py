@@ -1,4 +1,4 @@
-"""Kernels that are written from tapes without a GPU: compiled for a CPU, where threads run one after another."""
+"""Kernels generated from tapes, compiled for a CPU, where threads run one after another."""
 
 import ctypes
 import functools
@@ -22,7 +22,7 @@ needs_nvidia = pytest.mark.skipif(
 
 
 def compile_here(source, library, *options):
-    """A shared library of what is in a file."""
+    """Compile a source file to a shared library."""
     headers = ["-isystem", jax.ffi.include_dir(), f"-I{HERE}"]
     flags = ["-std=c++20", "-O0", "-fPIC", "-w", "-shared", *options]
     subprocess.run([COMPILER, *flags, *headers, str(source), "-o", str(library)], check=True)
@@ -30,7 +30,7 @@ def compile_here(source, library, *options):
 
 @functools.cache
 def handler() -> str:
-    """The name of what has a kernel called on a CPU."""
+    """Name of the registered target that calls a kernel on a CPU."""
     name = "jaxscp_test_sweep"
     with tempfile.TemporaryDirectory() as folder:
         library = Path(folder) / "handler.so"
@@ -40,7 +40,7 @@ def handler() -> str:
 
 
 def compiled(text: str, folder: Path, words: str = "threads_on_a_cpu.h") -> bytes:
-    """What stands for a kernel's machine code: the file of its library, with CUDA's words from a header."""
+    """Replacement of a kernel's machine code: path of its library. A header defines CUDA's keywords."""
     source, library = folder / "kernel.cc", folder / "kernel.so"
     source.write_text(text)
     compile_here(source, library, "-include", words)
@@ -48,7 +48,7 @@ def compiled(text: str, folder: Path, words: str = "threads_on_a_cpu.h") -> byte
 
 
 def as_on_a_gpu(monkeypatch) -> None:
-    """As on a machine with a GPU, to trace there; kernels have any image."""
+    """Make tracing behave as on a machine with a GPU; all kernels have the same image."""
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     monkeypatch.setattr(cuda, "capability", lambda: "90")
     monkeypatch.setattr(cuda, "launches", lambda _: True)

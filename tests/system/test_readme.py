@@ -1,4 +1,4 @@
-"""What the README tells its readers to type."""
+"""The README's commands, tables and example."""
 
 import re
 import shlex

@@ -1,4 +1,4 @@
-"""The augmented Lagrangian, on which steps are judged, and its projections."""
+"""The augmented Lagrangian, the merit function of steps, and its projections."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -17,7 +17,7 @@ vectors = st.lists(st.floats(-10.0, 10.0), min_size=3, max_size=3).map(jnp.array
 @settings(max_examples=50, deadline=None)
 @given(vectors)
 def test_a_vector_splits_into_its_part_in_the_cone_and_one_in_its_polar(v):
-    """Moreau: v = P(v) - P(-v), the two at right angles, for a cone that is its own dual."""
+    """Moreau: v = P(v) - P(-v) with orthogonal P(v) and P(-v), for a self-dual cone."""
     for cone in (NonNegative(), SecondOrder()):
         inside, outside = projection(cone, v), projection(cone, -v)
         np.testing.assert_allclose(inside - outside, v, atol=ROUNDING)

@@ -1,4 +1,4 @@
-"""Intervals to second order: what one sweep through the stages says, against automatic differentiation of the whole."""
+"""Second derivatives of intervals by one integration, compared with automatic differentiation of the whole."""
 
 import jax
 import jax.numpy as jnp
@@ -29,7 +29,7 @@ def test_it_is_what_automatic_differentiation_says(grid):
 
     @jax.jit
     def along(d):
-        """Second derivatives times a direction."""
+        """Product of the second derivatives with a direction."""
         return jax.jvp(jax.grad(lagrangian), (z,), (d,))[1]
 
     linear, curvature = jax.jit(lambda z: linearise_with_hessian(problem, z, y, grid))(z)

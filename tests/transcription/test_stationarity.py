@@ -1,4 +1,4 @@
-"""The residual of the optimality conditions: its gradient, and the judge's own."""
+"""The residual of the optimality conditions: the gradient, and the verifier's gradient."""
 
 import equinox as eqx
 import jax
@@ -14,7 +14,7 @@ from tests.support.flights import random_nodes, short_problem
 
 ROUNDING = 1e-9  # relative to the largest entry
 FINE = Grid(steps=4)  # sixth order: 4096 times as accurate as one step
-RK6_ERROR = 1e-7  # of that many, relative to the largest entry
+RK6_ERROR = 1e-7  # error of that many steps, relative to the largest entry
 
 
 def close(found, expected, tolerance):
@@ -47,7 +47,7 @@ def test_the_judges_gradient_is_the_limit_of_the_solvers(point):
 
 
 def test_residual_is_relative_to_the_cost(point):
-    """A random point is not stationary, and is as far from it when cost and multipliers are scaled together."""
+    """A random point is not stationary; the residual is unchanged if cost and multipliers scale together."""
     problem, z, linear, y = point
     cost = jnp.asarray(40.0)
     first_order_only = stationarity(lagrangian_gradient(problem, z, linear, y), z, cost)

@@ -1,4 +1,4 @@
-"""What the judge says where there is no flight to judge."""
+"""The certificate of a trajectory that cannot be integrated."""
 
 import jax
 import jax.numpy as jnp
@@ -8,7 +8,7 @@ from jaxscp import Planner, acceptable, scenarios
 from jaxscp.transcription.layout import trajectory_of
 from jaxscp.verification.certificate import certify
 
-TUMBLING = 1e6  # N of one rotor: far more turns an interval than the integration may take steps
+TUMBLING = 1e6  # N of one rotor: far more turns an interval than steps of the integration
 
 
 def test_a_flight_that_cannot_be_integrated_is_infinitely_bad():

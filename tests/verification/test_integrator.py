@@ -1,4 +1,4 @@
-"""Flights by the kernel for GPUs, run on a CPU by one lane, against those by diffrax."""
+"""Rollouts by the GPU kernel, run on a CPU by one thread, compared with rollouts by diffrax."""
 
 import dataclasses
 import functools
@@ -16,12 +16,12 @@ from jaxscp.verification.integrator import cuda_source, in_cuda, in_jax
 from tests.support.kernels import as_on_a_gpu, compiled, handler, needs_compiler, needs_nvidia
 
 NODES, SAMPLES = 4, 7
-AGREEMENT = 1e-8  # of two flights whose steps have errors of 1e-10 each
+AGREEMENT = 1e-8  # of two rollouts whose steps have errors of 1e-10 each
 BODY = jaxscp.airframes.paper_mav().body
 
 
 class Extreme(Dynamics):
-    """A state that a control lets fade, and one that grows beyond all bounds in time 1 / (power y)."""
+    """A state x that decays with the control, and a state y that diverges in time 1 / (power y)."""
 
     power: jax.Array
     state_size = 2
@@ -33,7 +33,7 @@ class Extreme(Dynamics):
 
 
 class Many(Dynamics):
-    """A ring of states, each of which follows the next."""
+    """A ring of states, each driven by the next."""
 
     state_size = cuda_source.LANES + 3
     control_size = 1
@@ -43,7 +43,7 @@ class Many(Dynamics):
 
 
 def flights(count):
-    """Starts, controls and dilations of distinct flights of a rigid body."""
+    """Initial states, controls and dilations of distinct rigid-body trajectories."""
     keys = jax.random.split(jax.random.key(0), 3)
     start = jnp.zeros((count, 13)).at[:, 6].set(1.0) + 0.1 * jax.random.normal(keys[0], (count, 13))
     control = BODY.hover_thrust() * (1.0 + 0.1 * jax.random.normal(keys[1], (count, NODES, 4)))
@@ -52,7 +52,7 @@ def flights(count):
 
 
 def flown_by(together, tmp_path):
-    """States by the kernel of some dynamics, of which so many lanes fly together."""
+    """A function: states by the kernel; ``together`` threads integrate one trajectory."""
     words = {1: "threads_on_a_cpu.h", cuda_source.LANES: "warps_on_a_cpu.h"}
 
     def states(dynamics, start, control, dilation, samples=SAMPLES):
@@ -65,14 +65,14 @@ def flown_by(together, tmp_path):
 
 @pytest.fixture
 def emulated(tmp_path, monkeypatch):
-    """The kernel by a lane alone."""
+    """The kernel with one thread a trajectory."""
     monkeypatch.setattr(launch, "TARGET", handler())
     return flown_by(1, tmp_path)
 
 
 @needs_compiler
 def test_lanes_fly_together(tmp_path, monkeypatch):
-    """More states and samples than lanes, and more flights than a block has."""
+    """More states and samples than threads a trajectory, and more trajectories than a block has."""
     monkeypatch.setattr(launch, "TARGET", handler())
     count, size, samples = (
         1 + cuda_source.THREADS // cuda_source.LANES,
@@ -91,7 +91,7 @@ def test_lanes_fly_together(tmp_path, monkeypatch):
 
 @needs_compiler
 def test_it_is_the_flight_by_diffrax(emulated):
-    """Of a batch, whose masses differ."""
+    """A batch with different masses."""
     bodies = lambda mass: dataclasses.replace(BODY, mass=mass)  # noqa: E731
     given = jnp.array([0.9, 1.0, 1.3]) * BODY.mass, *flights(3)
 
@@ -117,7 +117,7 @@ def test_closed_form(emulated):
 
 
 class Sudden(Dynamics):
-    """It fades fast, and has no slope below -1, where a step too long leads."""
+    """A state that decays fast; the derivative is undefined below -1, where a step too long leads."""
 
     state_size = 1
     control_size = 1
@@ -147,8 +147,10 @@ def test_what_cannot_be_flown_is_infinite_and_other_lanes_are_not(emulated):
 
 @needs_compiler
 def test_a_kernel_of_other_dynamics_flies_nothing(emulated, monkeypatch):
-    """From the first interval on at whose begin slopes differ, though later ones be the same: where there is no thrust,
-    the mass does not matter."""
+    """The rollout ends at the first interval whose initial state derivative differs from the dynamics.
+
+    Later intervals are lost even where the derivatives agree: without thrust the mass has no effect.
+    """
     other = dataclasses.replace(BODY, mass=1.001 * BODY.mass)
     start, control, dilation = (v[0] for v in flights(1))
     control = control.at[np.array([0, 2])].set(0.0)
@@ -181,7 +183,7 @@ class Untraceable(Dynamics):
 
 
 def test_a_gpu_runs_the_kernel_where_there_is_one(monkeypatch):
-    """As on a machine with a GPU: each device flies its own way."""
+    """As on a machine with a GPU: each device has its own integrator."""
     start, control, dilation = (v[0] for v in flights(1))
     assert in_cuda.flight(BODY, start, control, SAMPLES) is None
     as_on_a_gpu(monkeypatch)
