@@ -49,7 +49,7 @@ PRIVATE_IN_FILE = {
     "scp/history.py": {"virtual", "step"},
     "nlp/interior_point.py": {"shift", "moved", "FOLLOWED", "LONGEST", "first", "ended", "owed"},
     "nlp/central_path.py": {"ROOM", "inverse"},
-    "transcription/shooting.py": {"keep", "given", "points"},
+    "transcription/shooting.py": {"keep", "given"},
     "transcription/inequalities.py": {"room", "unit"},
     "verification/certificate.py": {"safe", "acceptable"},
     "solver/solution.py": {"newton_steps", "allocation"},

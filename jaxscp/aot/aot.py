@@ -1,7 +1,7 @@
 """Planners compiled ahead of their first call: for one shape of input, in this process or from a file.
 
-A planner is three programs; each takes the outputs of the one before. Here they are functions of leaves, so that neither
-a call nor a file needs the pytrees between them.
+A planner is three programs; each takes the outputs of the one before. Here they are functions of leaves, so that
+neither a call nor a file needs the pytrees between them.
 """
 
 import dataclasses
@@ -75,7 +75,7 @@ def compile_programs(programs: dict[str, Program]) -> dict[str, jax.stages.Compi
 class CompiledPlanner:
     """A planner for inputs of one shape, compiled before its first call; a call traces nothing.
 
-    ``Planner.compile`` and ``jaxscp.load`` make these. Solutions are bitwise those of the planner. For derivatives,
+    ``Planner.compile`` and ``jaxscp.load`` make these. Solutions equal the planner's bitwise. For derivatives,
     ``vmap`` and re-plans, use the planner itself.
     """
 

@@ -1,8 +1,9 @@
 """A planner in a file: its header, its programs in portable form, and as compiled for one machine.
 
 The file is a ZIP archive: ``header.json``, ``*.stablehlo`` (serialised by ``jax.export``) and ``*.executable``
-(serialised by ``jax.experimental.serialize_executable``, which pickles). ``export`` writes it. The code that reads it is
-here and in ``load``, and imports little: threads load the programs while the other modules are imported (``rebuild``).
+(serialised by ``jax.experimental.serialize_executable``, which pickles). ``export`` writes it. The code that reads it
+is here and in ``load``, and imports little: threads load the programs while the other modules are imported
+(``rebuild``).
 """
 
 import hashlib

@@ -17,8 +17,8 @@ _folder: pathlib.Path | None = None
 def use_cache(folder: str | os.PathLike | None) -> None:
     """Store compiled programs of this process in a folder, and look there before compiling.
 
-    Whole planners are stored. A later process with the same jaxscp and jax on the same kind of machine neither traces
-    nor compiles them for scenarios of the same shape. This holds for plain calls of planners made of jaxscp's own
+    Whole planners are stored. A later process neither traces nor compiles them for scenarios of the same shape, if
+    jaxscp, jax and the kind of machine are the same. This holds for plain calls of planners made of jaxscp's own
     parts. For ``vmap``, derivatives and your own methods, JAX's own cache is switched on, which changes its
     configuration for the whole process; its programs must still be traced. Programs compiled before the call are not
     stored.

@@ -1,7 +1,7 @@
 """The specification of a pytree as plain data: to compare two pytrees, and to store one in a file.
 
-A specification is made of dicts, lists, strings and numbers, which JSON holds: a class with its fields, a tuple with its
-items, an array with its shape and dtype. Classes are named, never stored: ``zeros_of`` builds only given classes.
+A specification is made of dicts, lists, strings and numbers, which JSON holds: a class with its fields, a tuple with
+its items, an array with its shape and dtype. Classes are named, never stored: ``zeros_of`` builds only given classes.
 """
 
 import dataclasses

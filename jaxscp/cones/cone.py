@@ -5,8 +5,6 @@ Names follow Goulart and Chen, "Clarabel: an interior-point solver for conic pro
 """
 
 import abc
-from collections.abc import Iterable
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -54,7 +52,7 @@ class Cone(eqx.Module):
 
     @abc.abstractmethod
     def inactive_value(self, values: Rows) -> Rows:
-        """Values that replace those of an inactive constraint: they satisfy it, whatever the variables are."""
+        """Values in place of an inactive constraint's: they satisfy it, whatever the variables are."""
 
     @abc.abstractmethod
     def multiplier_size(self, multiplier: Rows) -> Conditions:
@@ -277,25 +275,3 @@ def _tighten_rows(values: Array, second_difference: Array, mask: Array) -> Array
     """Values less max(0, d) / 8, smoothed, with d the second difference: between points a chord errs by d / 8."""
     smooth = second_difference + jnp.sqrt(second_difference * second_difference + _CORNER**2) - _CORNER
     return values - mask[:, None] * smooth / 16.0
-
-
-class ByCone(NamedTuple):
-    """Positions of constraints, by the kind of their cones."""
-
-    zero: list[int]
-    nonnegative: list[int]
-    second_order: list[int]
-
-
-def by_cone(cones: Iterable[Cone]) -> ByCone:
-    """Positions of each kind of cone.
-
-    Example:
-        >>> from jaxscp.cones.cone import NonNegative, SecondOrder, by_cone
-        >>> by_cone([NonNegative(), SecondOrder(), NonNegative()])
-        ByCone(zero=[], nonnegative=[0, 2], second_order=[1])
-    """
-    numbered = list(enumerate(cones))
-    return ByCone(
-        *([i for i, c in numbered if isinstance(c, kind)] for kind in (Zero, NonNegative, SecondOrder))
-    )

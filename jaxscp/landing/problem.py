@@ -59,13 +59,13 @@ class Pose(eqx.Module):
     state: Float[Array, "13"]
     """At time zero."""
     velocity: Float[Array, "3"]
-    """m/s, of what the state is relative to."""
+    """m/s, of the frame that the state is relative to."""
     fixed: Float[Array, "12"]
     """One where a component is fixed, zero where it is free."""
 
 
 def same_pose(state, time, p: Pose) -> Float[Array, "12"]:
-    """Each fixed component of position, velocity, attitude and body rate is as asked; the attitude's are three."""
+    """Residual of each fixed component of position, velocity, attitude (three components) and body rate."""
     moved = 0.0 if time is None else p.velocity * time
     position, velocity = state[:3] - (p.state[:3] + moved), state[3:6] - (p.state[3:6] + p.velocity)
     attitude = rotations.attitude_error(state[6:10], p.state[6:10])
@@ -73,7 +73,7 @@ def same_pose(state, time, p: Pose) -> Float[Array, "12"]:
 
 
 def same_pose_unit(state, time, p: Pose) -> Float[Array, "13"]:
-    """``same_pose``, and a quaternion of unit norm, which the flow then keeps: for a start with free attitude."""
+    """``same_pose``, and the norm of the quaternion, which the dynamics then keep: for a start with free attitude."""
     return jnp.append(same_pose(state, time, p), 0.5 * (jnp.sum(state[6:10] ** 2) - 1.0))
 
 
@@ -113,7 +113,7 @@ def landing_problem(
 
 def _boundaries(s: Mission, form: Form) -> tuple[Boundary, Boundary]:
     start, goal = s.start.vector(), s.goal.vector()
-    # q and -q are one attitude: ask for the one that the start's is nearer to.
+    # q and -q are one attitude: take the one nearer to the start's.
     goal = goal.at[6:10].multiply(jnp.where(jnp.dot(start[6:10], goal[6:10]) < 0, -1.0, 1.0))
     everything, still = jnp.ones(13, goal.dtype), jnp.zeros(3, goal.dtype)
     initial = Boundary(fixed_components, FixedComponents(start, everything))

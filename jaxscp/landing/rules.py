@@ -114,8 +114,8 @@ def _corridor_rules(s: Mission, xp):
 def _bounded(normals, xp):
     """Whether {d : normals d <= 0} holds only zero, for each polytope.
 
-    A cone that holds more holds a line, then the normals have rank below three, or an extreme ray, which lies
-    on two faces and so along the cross product of their normals.
+    A larger cone contains a line or an extreme ray. With a line, the normals have rank below three. An extreme ray
+    lies on two faces, and so along the cross product of their normals.
     """
     a, b = np.triu_indices(normals.shape[1], 1)
     rays = xp.cross(normals[:, a], normals[:, b])

@@ -3,10 +3,10 @@
     minimise    cost(z) - mu sum log det g(z)
     subject to  F_i(w_i) = x_{i+1},  conditions at both ends
 
-with F the flow over an interval, g in K the values of the inequalities, and det the determinant of the cone K (a value
-itself, or t^2 - |v|^2). As mu falls to zero this becomes the optimum itself (Nesterov and Nemirovskii, "Interior-point
-polynomial algorithms in convex programming", 1994). At a small mu the cost rises by about mu for each inequality that
-holds with equality, and each of them stays mu / multiplier away from its limit. Unlike the optimum, the point has
+F is the flow over an interval, g in K are the values of the inequalities, and det is the determinant of the cone K (a
+value itself, or t^2 - |v|^2). As mu falls to zero this becomes the optimum itself (Nesterov and Nemirovskii,
+"Interior-point polynomial algorithms in convex programming", 1994). At a small mu the cost rises by about mu for each
+active inequality, which stays mu / multiplier away from its limit. Unlike the optimum, the point has
 derivatives also where a constraint is weakly active, and where constraints are redundant.
 
 With multipliers y of the inequalities as unknowns, -mu log det g is the maximum over y of mu log det y - y . g, up to a

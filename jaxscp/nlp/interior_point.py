@@ -3,8 +3,8 @@
 Newton's method on the conditions of ``central_path`` with slacks s = g(z) and multipliers y, s o y = mu e, in
 Nesterov-Todd scaling. mu falls as the iterates follow the path (Waechter and Biegler, "On the implementation of an
 interior-point filter line-search algorithm for large-scale nonlinear programming", 2006). There is no line search: the
-convex subproblems lead near enough. Each iteration factors one matrix and uses second derivatives, so that convergence
-is quadratic, where that of the subproblems is not.
+convex subproblems lead near enough. Each iteration factors one matrix and uses second derivatives. So convergence is
+quadratic; the subproblems alone converge more slowly.
 """
 
 import equinox as eqx

@@ -1,7 +1,7 @@
 """The Newton system of the optimality conditions at a point, with the inequalities eliminated.
 
-With J the Jacobian of the inequalities and W the Nesterov-Todd scaling of their slacks and multipliers, eliminating the
-inequalities adds J' W^-2 J to the second derivatives of the Lagrangian. An LQ problem remains.
+J is the Jacobian of the inequalities, and W the Nesterov-Todd scaling of their slacks and multipliers. The elimination
+adds J' W^-2 J to the second derivatives of the Lagrangian. An LQ problem remains.
 """
 
 import equinox as eqx

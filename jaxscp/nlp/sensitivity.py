@@ -7,8 +7,8 @@ eliminated, the matrix is the matrix of the last Newton step (``newton_system.ne
 ``riccati``. But beside the weights of active constraints, 1e12 and more, rounding destroys the curvature of weakly
 determined directions. So the factor only preconditions the whole system, which has no such weights.
 
-The theorem needs a strict minimum; the recursion notices where there is none. Weakly active and redundant constraints do
-no harm: at a small mu, the derivative is the derivative of the smooth path next to them.
+The theorem needs a strict minimum; the recursion notices where there is none. Weakly active and redundant constraints
+do no harm: at a small mu, the derivative is the derivative of the smooth path next to them.
 """
 
 import functools
@@ -53,7 +53,7 @@ def implicit_solution(problem: OptimalControlProblem, point: Point, grid: Grid, 
         point: the optimum of this problem.
         grid: of the integration and the constraints.
         is_optimum: whether the point is an optimum. If not, or if the second-order condition fails there, requested
-            derivatives are NaN (and zero if requested with weight zero, so that a batch element can be masked).
+            derivatives are NaN. They are zero if requested with weight zero, so that a batch element can be masked.
     """
     floats, rest = eqx.partition(problem, eqx.is_inexact_array)
     return _optimum(grid, floats, rest, jax.lax.stop_gradient(point), is_optimum)
@@ -75,7 +75,7 @@ def _optimum_jvp(grid: Grid, primals, tangents):
 def _change(problem: OptimalControlProblem, point: Point, grid: Grid, is_optimum: Flag, change) -> Point:
     """Change of the optimum with the problem's floats: -A^-1 B change, A and B the derivatives of the conditions.
 
-    Stated as one linear system, [1 0; B A] (f, p) = (change, 0), with its solution and that of its transpose. Batch
+    Stated as one linear system, [1 0; B A] (f, p) = (change, 0), with solutions of it and of its transpose. Batch
     elements without an optimum then cost nothing, and the others no more memory than one chunk of them.
     """
     right, unravel = ravel_pytree((change, jax.tree.map(jnp.zeros_like, point)))
@@ -114,7 +114,7 @@ def _backward(
     adjoint = system.solve(problem, rhs)
     floats, rest = eqx.partition(problem, eqx.is_inexact_array)
 
-    def product(floats):  # its gradient is that of adjoint . conditions, with one integration less
+    def product(floats):  # has the gradient of adjoint . conditions, with one integration less
         return jax.jvp(lambda p: lagrangian(eqx.combine(floats, rest), p, grid), (point,), (adjoint,))[1]
 
     return jax.tree.map(jnp.subtract, weights, jax.grad(product)(floats)), adjoint

@@ -1,4 +1,4 @@
-"""How the iterations got there."""
+"""Convergence of the iterations."""
 
 from typing import Any
 
@@ -12,7 +12,7 @@ from jaxscp.solver.solution import Solution
 
 
 def draw_convergence(axes: Any, solution: Solution) -> Any:
-    """Cost, flight time, and what should vanish over the iterations, on three axes."""
+    """Cost, flight time, and residuals over the iterations, on three axes."""
     rows = history_rows(solution)
     count = np.arange(1, int(solution.iterations) + 1)
     axes[0].plot(count, rows["cost"], "o-", color=BLUE, markersize=4, linewidth=1.2)

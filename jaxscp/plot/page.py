@@ -44,7 +44,7 @@ def summary(scenario: LandingScenario, solution: Solution) -> Figure:
 
 
 def headline(solution: Solution) -> str:
-    """What the picture shows, in one line; the worst violation in SI units."""
+    """The picture's headline; the worst violation is in SI units."""
     between = np.asarray(solution.certificate.between_nodes)
     worst = solution.certificate.names[int(between.argmax())]
     status = str(status_names(solution.status)).replace("_", " ")

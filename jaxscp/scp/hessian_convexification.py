@@ -4,9 +4,9 @@
 
 ``convexified_along_horizon`` adds and subtracts 1/2 x' P x at every node, terms that cancel where the dynamics hold,
 with P from a Riccati recursion. Each block is then as convex as the problem in the directions that its dynamics leave
-free (Verschueren et al., "A sparsity preserving convexification procedure for indefinite quadratic programs arising in
-direct optimal control", 2017). With a quadratic penalty on the active constraints, this is exact near a strict minimum.
-A block that is still not convex is clipped.
+free. Source: Verschueren et al., "A sparsity preserving convexification procedure for indefinite quadratic programs
+arising in direct optimal control" (2017). With a quadratic penalty on the active constraints, this is exact near a
+strict minimum. A block that is still not convex is clipped.
 
 All in scaled units, in which a variable's typical size is one.
 """

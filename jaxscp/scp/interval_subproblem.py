@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxscp.cones.cone import by_cone
+from jaxscp.cones.kinds import by_cone
 from jaxscp.conic.program import Cones, ConicMultipliers, CouplingRows, HalfSpaceRows, StagedProgram
 from jaxscp.problem.constraint import Constraint
 from jaxscp.problem.multipliers import Multipliers
@@ -66,7 +66,7 @@ def node_step(problem: OptimalControlProblem, stages: Float[Array, "nodes _"]) -
 def nlp_multipliers(
     problem: OptimalControlProblem, linear: Linearisation, found: ConicMultipliers
 ) -> Multipliers:
-    """Multipliers of the nonlinear problem, from those of the subproblem's rows."""
+    """Multipliers of the nonlinear problem, from the multipliers of the subproblem's rows."""
     states, kinds = problem.state_size, _by_cone(problem)
     values: list = [None] * len(problem.constraints)
     first = 0

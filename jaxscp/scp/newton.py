@@ -1,9 +1,14 @@
 """Sequential convex programming with second derivatives: its limit points are local optima, safe between nodes.
 
-Each iteration models the cost by a convexified Hessian and a proximal term (``convex_model``), solves the subproblem
-with path constraints inside every interval (``subproblem``), searches along the step with a second-order correction
-(``line_search``), accepts it if an augmented Lagrangian falls below the worst of the last few (``acceptance``), and
-tests the optimality conditions (``convergence``). An interior point on the nonlinear problem ends the solution.
+An iteration has five parts, each in a file of its name:
+
+- ``convex_model``: the cost, with a convexified Hessian and a proximal term;
+- ``subproblem``: the convex program, with path constraints inside every interval, solved;
+- ``line_search``: fractions of the step, each with a second-order correction;
+- ``acceptance``: the step is accepted if an augmented Lagrangian falls below the worst of the last few points;
+- ``convergence``: the optimality conditions, tested.
+
+At the end an interior point on the nonlinear problem goes on to the optimum.
 """
 
 import equinox as eqx

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxscp.cones.cone import by_cone
+from jaxscp.cones.kinds import by_cone
 from jaxscp.conic.program import Cones, CouplingRows, HalfSpaceRows, NormCost, StagedProgram
 from jaxscp.core.types import Scalar
 from jaxscp.problem.constraint import Constraint
@@ -195,7 +195,9 @@ def _coupling(
 ) -> CouplingRows:
     """Rows between nodes: both ends (hard), and the dynamics (soft).
 
-    The dynamics are A x_i + B- u_i + (B+ u_{i+1} - x_{i+1}) + nu = A xref + B- uref + B+ uref+ - F.
+    The dynamics:
+
+        A x_i + B- u_i + (B+ u_{i+1} - x_{i+1}) + nu = A xref + B- uref + B+ uref+ - F
     """
     n, states, dtype = problem.variables, problem.state_size, reference.dtype
     initial, initial_rhs = _linear_boundary(problem, problem.initial, reference[0])

@@ -14,8 +14,8 @@ def load(file: str | os.PathLike, *, compile: bool = True) -> "CompiledPlanner":
     """The planner that ``Planner.export`` wrote: it traces nothing, and compiles nothing on the machine of its export.
 
     The file holds machine code, which a call runs: load only files that you would run as a program. The code is used if
-    jax, jaxlib, device and the processor's instruction sets are the same as at the export; solutions are then bitwise
-    those of the planner. Elsewhere the portable form in the file is compiled (``jaxscp.use_cache`` stores the result).
+    jax, jaxlib, device and the processor's instruction sets are the same as at the export; solutions then equal the
+    planner's bitwise. Elsewhere the portable form in the file is compiled (``jaxscp.use_cache`` stores the result).
     A planner that calls the compiled libraries needs them here too, and on a GPU a device of the same model.
 
     Args:

@@ -23,7 +23,7 @@ def sum_onto_nodes(
 
 
 def stage_sizes(problem: OptimalControlProblem, sizes: Float[Array, "variables"]) -> Float[Array, "inputs"]:
-    """Typical sizes of an interval's variables, from those of a node's."""
+    """Typical sizes of an interval's variables, from the sizes of a node's variables."""
     return jnp.concatenate([sizes, sizes[problem.state_size :]])
 
 

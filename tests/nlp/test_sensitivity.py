@@ -12,7 +12,7 @@ import jaxscp
 from jaxscp import NewtonSCP, scenarios
 from jaxscp.nlp.central_path import Point, conditions
 from jaxscp.problem.problem import node_times
-from jaxscp.scp.method import solve
+from jaxscp.scp.method import iterate
 from tests.system.test_general_problem import LIMIT, SWITCH, rest_to_rest, straight
 
 DISTANCE = 4.0
@@ -41,8 +41,8 @@ def flight():
                 least,
             ),
         )
-        state, answer = solve(method, problem, straight(problem, DISTANCE, 5.0))
-        return node_times(answer.z[:, -1])[-1], (problem, state, answer)
+        result = iterate(method, problem, straight(problem, DISTANCE, 5.0))
+        return node_times(result.z[:, -1])[-1], (problem, result)
 
     parameters = jnp.array([DISTANCE, LIMIT, 0.05])
     return (
@@ -54,11 +54,11 @@ def flight():
 
 @pytest.mark.slow
 def test_the_answer_is_a_root_of_the_conditions(flight):
-    _, ((_, (problem, _, answer)), _), _ = flight
-    assert bool(answer.reached)
-    point = Point(answer.z, answer.multipliers)
-    lack = jax.jit(lambda p, v: conditions(p, v, NewtonSCP().grid))(problem, point)
-    assert max(float(jnp.max(jnp.abs(v))) for v in jax.tree.leaves(lack)) < RESIDUAL
+    _, ((_, (problem, result)), _), _ = flight
+    assert bool(result.is_optimum)
+    point = Point(result.z, result.multipliers)
+    residual = jax.jit(lambda p, v: conditions(p, v, NewtonSCP().grid))(problem, point)
+    assert max(float(jnp.max(jnp.abs(v))) for v in jax.tree.leaves(residual)) < RESIDUAL
 
 
 @pytest.mark.slow

@@ -92,8 +92,8 @@ def test_nodes_are_marked_on_the_flown_line(panels, solution):
     lines = labelled(panels["speed [m/s]"])
     time, speed = lines["nodes"].get_data()
     np.testing.assert_allclose(time, solution.trajectory.time)
-    flown = np.interp(time, *lines["flown"].get_data())
-    np.testing.assert_allclose(flown, speed, atol=0.01)
+    sampled = np.interp(time, *lines["flown"].get_data())
+    np.testing.assert_allclose(sampled, speed, atol=0.01)
     assert len(lines["flown"].get_xdata()) == (NODES - 1) * SAMPLES
 
 
@@ -118,7 +118,7 @@ def test_scene_shows_all_there_is_to_one_scale(scene, scenario):
 
 
 def test_margin_agrees_with_the_certificate(scenario, solution):
-    margin = plot.corridor_margin(scenario.corridor, plot.flown(scenario, solution, samples=200))
+    margin = plot.corridor_margin(scenario.corridor, plot.integrated(scenario, solution, samples=200))
     outside = max(-float(margin.min()), 0.0)
     at = solution.certificate.names.index("corridor")
     assert outside == pytest.approx(float(solution.certificate.between_nodes[at]), abs=1e-6)

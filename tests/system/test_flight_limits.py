@@ -13,7 +13,7 @@ import pytest
 import jaxscp
 from jaxscp import Planner, scenarios, status_names
 from jaxscp.dynamics.rotations import rotation_matrix
-from jaxscp.verification.rollout import fly
+from jaxscp.verification.rollout import rollout
 
 SPEED, TILT, BODY_RATE, THRUST_RATE = 3.5, 0.7, 3.0, 40.0
 BALL, BALL_RADIUS = np.array([3.0, 2.0, 4.4]), 0.4
@@ -38,7 +38,7 @@ def planned():
     planner = Planner(nodes=20)
     solution = planner(scenario)
     problem, _, _ = planner.setup(scenario)
-    flight = jax.jit(lambda t: fly(problem, t, 100))(solution.trajectory)
+    flight = jax.jit(lambda t: rollout(problem, t, 100))(solution.trajectory)
     return scenario, solution, flight
 
 

@@ -7,7 +7,7 @@ from jaxscp.backends.libraries import choose, in_float64
 from jaxscp.linalg.gram import in_jax, native
 from jaxscp.linalg.gram.system import GramSums, WeightedRows
 
-__all__ = ["Normal", "Rows", "normal"]
+__all__ = ["GramSums", "WeightedRows", "gram"]
 
 
 def gram(parts: tuple[WeightedRows, ...]) -> GramSums:

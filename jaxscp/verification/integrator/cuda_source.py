@@ -1,8 +1,8 @@
 """The text of one CUDA kernel that integrates a trajectory, written from the tape of its dynamics.
 
-Dormand and Prince's method of eighth order with adaptive steps, by diffrax's tableau and step control, as in ``in_jax``.
-A warp integrates one trajectory. Each thread sums the stages for some of the states, and evaluates some of the requested
-points. All threads evaluate the whole derivative: to divide this work would save no time.
+Dormand and Prince's method of eighth order with adaptive steps, by diffrax's tableau and step control, as in
+``in_jax``. A warp integrates one trajectory. Each thread sums the stages for some of the states, and evaluates some of
+the requested points. All threads evaluate the whole derivative: to divide this work would save no time.
 """
 
 from collections.abc import Iterator
