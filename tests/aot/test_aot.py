@@ -172,7 +172,7 @@ def with_header(file, target, **changes):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"format": 0}, "its format is 0"),
+        ({"format": 9}, "its format is 9, .* export the planner again"),
         ({"platform": "abacus"}, "exported for abacus"),
         ({"solution": {"class": "os.system", "fields": {}}}, "another version of jaxscp"),
         ({"machine": {"jax": "0"}}, "another machine, which differs in jax, "),
