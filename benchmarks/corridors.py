@@ -1,9 +1,9 @@
 """Corridors from point clouds: safety, connection, size and construction time.
 
 Run ``python -m benchmarks.corridors``. ``--json`` prints the same figures as JSON. ``--maps`` sets the number of random
-maps of the four kinds. ``--real`` names a folder with further clouds and meshes. ``--lanes`` sets how many corridors
-are planned at once. ``--batch`` sets how many maps are timed at once on the default device of JAX. The last two are for
-a GPU.
+maps of the four kinds. ``--real`` names a folder with further clouds and meshes. ``--batch`` sets how many corridors
+are planned at once. ``--maps-at-once`` sets how many maps are timed at once on the default device of JAX. The last two
+are for a GPU.
 """
 
 import argparse
@@ -51,7 +51,7 @@ NODES = 30
 ROUNDING = 1e-9
 
 
-class PublishedShrinking(EllipsoidDecomposition):
+class TangentShrinking(EllipsoidDecomposition):
     """The published ellipsoid decomposition: tangent planes moved by the radius, which can cut the leg."""
 
     def separate(
@@ -75,7 +75,7 @@ METHODS: dict[str, Decomposition] = {
     "capsule": EllipsoidDecomposition(capsule=True),
     "firi": InflationFIRI(),
 }
-PUBLISHED = PublishedShrinking()
+REFERENCE = TangentShrinking()
 
 
 def random_maps(count: int) -> Iterator[synthetic_maps.Map]:
@@ -114,10 +114,10 @@ def seeds_outside(result: CorridorResult) -> int:
     return int(np.sum(gaps.min(axis=(1, 2)) < -ROUNDING))
 
 
-def safety(places: list[synthetic_maps.Map], lanes: int) -> dict:
+def safety(places: list[synthetic_maps.Map], batch_size: int) -> dict:
     """Figures of corridors by the default method, one for each map, checked against the given cloud.
 
-    Also plans through the corridors, ``lanes`` at once (0: no plans).
+    Also plans through the corridors, ``batch_size`` at once (0: no plans).
     """
     found = narrow = unresolved = no_route = crashed = inside = cut = polytopes = 0
     least, reasons = np.inf, []
@@ -157,7 +157,7 @@ def safety(places: list[synthetic_maps.Map], lanes: int) -> dict:
         "maps": len(places),
         "no_route": no_route,
         "solvable": solvable,
-        "solved_share": found / solvable,
+        "solved_fraction": found / solvable,
         "narrow": narrow,
         "unresolved": unresolved,
         "crashed": crashed,
@@ -167,14 +167,14 @@ def safety(places: list[synthetic_maps.Map], lanes: int) -> dict:
         "min_overlap_m": least,
         "reasons": reasons,
     }
-    if not (lanes and scenarios):
+    if not (batch_size and scenarios):
         return report
-    statuses = plan_statuses(scenarios, lanes)
-    report["planned_share"] = statuses.get("converged", 0) / solvable
+    statuses = plan_statuses(scenarios, batch_size)
+    report["planned_fraction"] = statuses.get("converged", 0) / solvable
     return report | {"plans": statuses}
 
 
-def plan_statuses(scenarios: list[LandingScenario], lanes: int) -> dict[str, int]:
+def plan_statuses(scenarios: list[LandingScenario], batch_size: int) -> dict[str, int]:
     """Number of plans by status, default planner, corridors padded to one shape."""
     count = max(s.corridor.count for s in scenarios)
     faces = max(s.corridor.offsets.shape[1] for s in scenarios)
@@ -183,8 +183,8 @@ def plan_statuses(scenarios: list[LandingScenario], lanes: int) -> dict[str, int
     ]
     plan = jax.vmap(Planner(nodes=NODES))
     statuses: Counter[str] = Counter()
-    for first in range(0, len(padded), lanes):
-        batch = [padded[min(first + lane, len(padded) - 1)] for lane in range(lanes)]
+    for first in range(0, len(padded), batch_size):
+        batch = [padded[min(first + k, len(padded) - 1)] for k in range(batch_size)]
         solution = plan(jax.tree.map(lambda *leaves: jnp.stack(leaves), *batch))
         statuses.update(map(str, status_names(solution.status)[: len(padded) - first]))
     return dict(statuses)
@@ -210,7 +210,7 @@ def sizes(places: list[synthetic_maps.Map]) -> dict:
         segments = legs(result.route.points, 6.0)
         cloud = place.cloud.thinned(0.1)
         for name in volumes:
-            method = METHODS.get(name, PUBLISHED)
+            method = METHODS.get(name, REFERENCE)
             cells = cells_along(method, segments, cloud, RADIUS, CLEARANCE, place.lower, place.upper).polytope
             normals, offsets = np.asarray(cells.normals), np.asarray(cells.offsets)
             for n, b, segment in zip(normals, offsets, segments, strict=True):
@@ -317,25 +317,27 @@ def main() -> None:
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--maps", type=int, default=500, help="random maps in the check of safety")
     parser.add_argument("--sized", type=int, default=40, help="random maps in the comparison of volumes")
-    parser.add_argument("--lanes", type=int, default=1, help="corridors planned through at once; 0: none")
-    parser.add_argument("--batch", type=int, default=0, help="maps to build corridors in at once")
-    folder = Path(os.environ.get("JAXSCP_MAPS", Path(__file__).parents[2] / "shared" / "maps"))
-    parser.add_argument("--real", type=Path, default=folder, help="folder of real clouds and meshes")
+    parser.add_argument("--batch", type=int, default=1, help="corridors planned through at once; 0: none")
+    parser.add_argument("--maps-at-once", type=int, default=0, help="maps to build corridors in at once")
+    folder = os.environ.get("JAXSCP_MAPS")
+    parser.add_argument(
+        "--real", type=Path, default=folder, help="folder of real clouds and meshes; default: $JAXSCP_MAPS"
+    )
     options = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
     warnings.simplefilter("ignore")
 
     report = {}
     if options.maps:
-        report["safety"] = safety(list(random_maps(options.maps)), options.lanes)
+        report["safety"] = safety(list(random_maps(options.maps)), options.batch)
     if options.sized:
         report["sizes"] = sizes(list(random_maps(options.sized)))
         report["ms_12_polytopes"] = milliseconds()
-    real = list(real_maps(options.real)) if options.real.is_dir() else []
+    real = list(real_maps(options.real)) if options.real and options.real.is_dir() else []
     if real:
-        report["real"] = safety(real, options.lanes)
-    if options.batch:
-        report["batched"] = batched(options.batch)
+        report["real"] = safety(real, options.batch)
+    if options.maps_at_once:
+        report["batched"] = batched(options.maps_at_once)
     if options.json:
         print(json.dumps(report))
     else:

@@ -36,10 +36,10 @@ from benchmarks.rivals.optimum import Extras, Optimum, Start, best  # noqa: E402
 from benchmarks.rivals.problem import LandingArrays  # noqa: E402
 from jaxscp import LandingScenario, scenarios, status_names  # noqa: E402
 from jaxscp.corridor.polytopes import Corridor, box, connect  # noqa: E402
-from tests.support.random_instances import PRICES, bare, random_instances  # noqa: E402
+from tests.support.random_instances import TIME_WEIGHTS, random_instances, with_time_weight  # noqa: E402
 
 NODES = 30
-PERCENT = {"share_within_0.1_percent": 1e-3, "share_within_1_percent": 1e-2}
+GAPS = {"fraction_within_0.1_percent": 1e-3, "fraction_within_1_percent": 1e-2}
 BALL, BALL_RADIUS = (5.2, 0.4, 2.6), 0.6  # m: the ball lies on the path of both optima without the ball
 DECK_VELOCITY = (0.3, -0.1, 0.1)
 BOTH_METHODS = 8  # number of first cases; the paper's method can state these
@@ -106,9 +106,11 @@ def suite(instances: int) -> list[Case]:
         batch = random_instances(jax.random.key(1), max(count, 1), mission)
         cases += [Case(f"{name} {i}", jax.tree.map(lambda v, i=i: v[i], batch)) for i in range(count)]
     return [
-        dataclasses.replace(case, name=f"{case.name}, w_t {price:g}", scenario=bare(case.scenario, price))
+        dataclasses.replace(
+            case, name=f"{case.name}, w_t {weight:g}", scenario=with_time_weight(case.scenario, weight)
+        )
         for case in cases
-        for price in PRICES
+        for weight in TIME_WEIGHTS
     ]
 
 
@@ -125,7 +127,7 @@ class Ours:
     limits: float
     """Worst violation of all other limits, relative to the allowed violation."""
     optimality: float | None
-    """Residual of the optimality conditions, from the certificate."""
+    """KKT residual, from the certificate."""
 
 
 def plan(planner: jaxscp.Planner, scenario: LandingScenario) -> Ours:
@@ -161,15 +163,15 @@ def references(cases: list[Case], starts: int, workers: int, file: Path | None) 
     """IPOPT's results for every case and start, from the file if they are there."""
     problems = [arrays_of(case.scenario) for case in cases]
     keys = [_fingerprint(p, c.extras, starts) for p, c in zip(problems, cases, strict=True)]
-    kept = json.loads(file.read_text()) if file and file.exists() else {}
-    missing = [i for i, key in enumerate(keys) if key not in kept]
+    cached = json.loads(file.read_text()) if file and file.exists() else {}
+    missing = [i for i, key in enumerate(keys) if key not in cached]
     with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
         tasks = [pool.submit(reference, problems[i], cases[i].extras, starts) for i in missing]
         for i, task in zip(missing, tasks, strict=True):
-            kept[keys[i]] = [dataclasses.asdict(start) for start in task.result()]
+            cached[keys[i]] = [dataclasses.asdict(start) for start in task.result()]
             if file:
-                file.write_text(json.dumps(kept, indent=1))
-    return [[Start(**start) for start in kept[key]] for key in keys]
+                file.write_text(json.dumps(cached, indent=1))
+    return [[Start(**start) for start in cached[key]] for key in keys]
 
 
 def _fingerprint(problem: LandingArrays, extras: Extras, starts: int) -> str:
@@ -210,9 +212,9 @@ def compare(instances: int, starts: int, workers: int, file: Path | None, echo: 
         )
     good = [row for row in rows if row["status"] == "converged"]
     counts = [row["iterations"] for row in rows]
-    shares = {name: sum(row["gap"] <= share for row in good) / len(rows) for name, share in PERCENT.items()}
+    fractions = {name: sum(row["gap"] <= gap for row in good) / len(rows) for name, gap in GAPS.items()}
     return {
-        **shares,
+        **fractions,
         "median_iterations": float(np.median(counts)),
         "p95_iterations": float(np.percentile(counts, 95)),
         "worst_violation_m": max((row["violation"] for row in good), default=0.0),
@@ -226,12 +228,12 @@ def compare(instances: int, starts: int, workers: int, file: Path | None, echo: 
 
 def before_and_after(cases: list[Case], plans: list[Ours], echo: Any) -> list[dict[str, Any]]:
     """Costs and violations between the nodes of the paper's method and of the default, same guess."""
-    published = jaxscp.Planner(nodes=NODES, method=jaxscp.PTR())
-    compile_for(published, cases)
+    paper = jaxscp.Planner(nodes=NODES, method=jaxscp.PTR())
+    compile_for(paper, cases)
     echo(f"{'':24} {'paper':>8} {'ours':>8} {'paper mm':>9} {'ours mm':>8}")
     rows = []
     for case, after in zip(cases, plans, strict=True):
-        before = plan(published, case.scenario)
+        before = plan(paper, case.scenario)
         rows.append(
             {
                 "case": case.name,
@@ -253,14 +255,14 @@ def main() -> None:
     parser.add_argument("--instances", type=int, default=40, help="random ones in the suite")
     parser.add_argument("--starts", type=int, default=4, help="of IPOPT, for each case")
     parser.add_argument("--workers", type=int, default=2, help="processes for IPOPT")
-    parser.add_argument("--reference", type=Path, help="JSON file that keeps what IPOPT found")
-    wanted = parser.parse_args()
+    parser.add_argument("--reference", type=Path, help="JSON file that caches IPOPT's results")
+    options = parser.parse_args()
 
     def echo(line: str) -> None:
-        print(line, file=sys.stderr if wanted.json else sys.stdout, flush=True)
+        print(line, file=sys.stderr if options.json else sys.stdout, flush=True)
 
-    result = compare(wanted.instances, wanted.starts, wanted.workers, wanted.reference, echo)
-    if wanted.json:
+    result = compare(options.instances, options.starts, options.workers, options.reference, echo)
+    if options.json:
         print(json.dumps(result))
     else:
         echo("\n".join(f"{k}: {v}" for k, v in result.items() if k not in ("cases", "paper")))

@@ -1,6 +1,6 @@
 """Random instances, a tenth of them infeasible by construction, planned in batches and checked by the certificate.
 
-python -m benchmarks.survey [--json] [--count 1000] [--lanes 50]
+python -m benchmarks.survey [--json] [--count 1000] [--batch 50]
 """
 
 import argparse
@@ -18,28 +18,30 @@ import numpy as np  # noqa: E402
 
 import jaxscp  # noqa: E402
 from jaxscp import LandingScenario, scenarios, status_names  # noqa: E402
-from tests.support.random_instances import PRICES, bare, random_instances  # noqa: E402
+from tests.support.random_instances import TIME_WEIGHTS, random_instances, with_time_weight  # noqa: E402
 
 NODES = 30
 TOO_SHORT = 0.6  # s: neither full thrust nor free fall reaches any goal in this time
 
 
-def survey(count: int, lanes: int, echo: Any) -> dict[str, Any]:
+def survey(count: int, batch_size: int, echo: Any) -> dict[str, Any]:
     """Statuses of random instances, every tenth infeasible, planned in batches, compared with the truth."""
     # Without an outer jit the planner remains two programs, and the missions share the large one.
     plan_all = jax.vmap(jaxscp.Planner(nodes=NODES))
     seen: dict[str, dict[str, int]] = {"feasible": {}, "infeasible": {}}
-    refuted, not_finite, iterations, worst, residuals = 0, 0, [], 0.0, []
+    failed, not_finite, iterations, worst, residuals = 0, 0, [], 0.0, []
     missions = (scenarios.platform_to_platform, scenarios.ascent_to_platform)
     began = time.perf_counter()
     for mission in missions:
-        for first in range(0, -(-count // len(missions)), lanes):
-            batch, impossible = _drawn(mission, first, lanes)
+        for first in range(0, -(-count // len(missions)), batch_size):
+            batch, impossible = _drawn(mission, first, batch_size)
             solution = jax.tree.map(np.asarray, plan_all(batch))
             names = status_names(solution.status)
-            agrees = np.asarray(jax.vmap(jaxscp.acceptable)(solution.certificate)) & ~impossible
-            refuted += int(np.sum((names == "converged") & ~agrees))
-            finite = [np.isfinite(leaf).reshape(lanes, -1).all(axis=1) for leaf in jax.tree.leaves(solution)]
+            agrees = np.asarray(jax.vmap(lambda c: c.passed())(solution.certificate)) & ~impossible
+            failed += int(np.sum((names == "converged") & ~agrees))
+            finite = [
+                np.isfinite(leaf).reshape(batch_size, -1).all(axis=1) for leaf in jax.tree.leaves(solution)
+            ]
             not_finite += int(np.sum(~np.all(finite, axis=0)))
             iterations.extend(solution.iterations[names == "converged"])
             residuals.extend(solution.certificate.optimality[names == "converged"])
@@ -51,7 +53,7 @@ def survey(count: int, lanes: int, echo: Any) -> dict[str, Any]:
     for kind, statuses in seen.items():
         echo(f"{kind} random instances: " + ", ".join(f"{n} {s}" for s, n in sorted(statuses.items())))
     return {
-        "refuted_converged": refuted,
+        "verification_failed_converged": failed,
         "feasible_called_infeasible": seen["feasible"].get("infeasible", 0),
         "not_finite": not_finite,
         "statuses": seen,
@@ -63,12 +65,12 @@ def survey(count: int, lanes: int, echo: Any) -> dict[str, Any]:
     }
 
 
-def _drawn(mission: Any, first: int, lanes: int) -> tuple[LandingScenario, np.ndarray]:
+def _drawn(mission: Any, first: int, batch_size: int) -> tuple[LandingScenario, np.ndarray]:
     """A batch of variations of a mission at both time weights, and flags: no vehicle can fly this one."""
-    batch = bare(random_instances(jax.random.key(1000 + first), lanes, mission), 0.0)
-    index = np.arange(lanes)
+    batch = with_time_weight(random_instances(jax.random.key(1000 + first), batch_size, mission), 0.0)
+    index = np.arange(batch_size)
     impossible = index % 10 == 9
-    batch = eqx.tree_at(lambda s: s.weights.time, batch, jnp.asarray(np.choose(index % 2, PRICES)))
+    batch = eqx.tree_at(lambda s: s.weights.time, batch, jnp.asarray(np.choose(index % 2, TIME_WEIGHTS)))
     longest = jnp.where(impossible, TOO_SHORT, batch.dilation_max)
     return eqx.tree_at(lambda s: s.dilation_max, batch, longest), impossible
 
@@ -78,10 +80,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--count", type=int, default=1000, help="instances")
-    parser.add_argument("--lanes", type=int, default=50, help="of them planned at once")
-    wanted = parser.parse_args()
-    result = survey(wanted.count, wanted.lanes, (lambda line: None) if wanted.json else print)
-    if wanted.json:
+    parser.add_argument("--batch", type=int, default=50, help="of them planned at once")
+    options = parser.parse_args()
+    result = survey(options.count, options.batch, (lambda line: None) if options.json else print)
+    if options.json:
         print(json.dumps(result))
     else:
         print("\n".join(f"{k}: {v}" for k, v in result.items() if k != "statuses"))

@@ -22,9 +22,11 @@ from jaxscp.landing.constraints import (
     within_control_limits,
 )
 from jaxscp.landing.guess import initial_guess
+from jaxscp.landing.mission import Weights
 from jaxscp.landing.problem import effort, flight_time, landing_problem
-from jaxscp.landing.scenario import LandingScenario, Weights
+from jaxscp.landing.scenario import LandingScenario
 from jaxscp.problem.constraint import Constraint, repeat_over_nodes
+from jaxscp.problem.form import Paper
 from jaxscp.problem.problem import Boundary, FixedComponents, OptimalControlProblem, fixed_components
 from jaxscp.scp.nodal_subproblem import PAPER_NODES, NormTrustRegion
 from jaxscp.scp.ptr import PTR
@@ -112,7 +114,7 @@ def as_arrays(scenario: LandingScenario, nodes: int, method: PTR | None = None) 
 def _problem_and_guess(scenario: LandingScenario, nodes: int):
     allocation = allocate(scenario.corridor, scenario.start.position, scenario.goal.position, nodes)
     guess = jax.jit(initial_guess)(scenario, allocation)
-    return landing_problem(scenario, allocation, published=True), guess
+    return landing_problem(scenario, allocation, Paper()), guess
 
 
 def _constraints(arrays: LandingArrays) -> tuple[Constraint, ...]:
@@ -155,11 +157,11 @@ def _whole_state(value: Floats) -> Boundary:
 
 def _node_variables(arrays: LandingArrays) -> Floats:
     """Rows (x, phi, t, u, s); phi by the steps of the discretisation, which integrate by Simpson's rule."""
-    held = extended_controls(arrays)
-    share = np.linspace(0.0, 1.0, 2 * arrays.substeps + 1)[:, None]
-    along = (1.0 - share) * held[:-1, None] + share * held[1:, None]
-    rate = arrays.weight_control * np.linalg.norm(along[..., :-1], axis=-1) * along[..., -1]
-    rates = np.stack([rate, along[..., -1]], axis=-1)
-    spent = simpson(rates, dx=arrays.interval / (len(share) - 1), axis=1)
-    elapsed = np.concatenate([np.zeros((1, 2)), np.cumsum(spent, axis=0)])
-    return np.column_stack([arrays.states, elapsed, held])
+    extended = extended_controls(arrays)
+    fraction = np.linspace(0.0, 1.0, 2 * arrays.substeps + 1)[:, None]
+    controls = (1.0 - fraction) * extended[:-1, None] + fraction * extended[1:, None]
+    rate = arrays.weight_control * np.linalg.norm(controls[..., :-1], axis=-1) * controls[..., -1]
+    rates = np.stack([rate, controls[..., -1]], axis=-1)
+    integrals = simpson(rates, dx=arrays.interval / (len(fraction) - 1), axis=1)
+    elapsed = np.concatenate([np.zeros((1, 2)), np.cumsum(integrals, axis=0)])
+    return np.column_stack([arrays.states, elapsed, extended])

@@ -20,7 +20,7 @@ class Discretisation:
     """B+, (N - 1, 13, m + 1)."""
     offset: Floats
     """c = F - A x - B- v[i] - B+ v[i+1], (N - 1, 13)."""
-    flown: Floats
+    end: Floats
     """F, (N - 1, 13): the reference integrated from each node to the next."""
     effort: Floats
     """Integral of |u| dt over each interval of the reference, (N - 1,)."""
@@ -33,7 +33,7 @@ class Discretisation:
 def discretise(problem: LandingArrays, states: Floats, extended: Floats) -> Discretisation:
     """Linearise the flow of every interval about states (N, 13) and extended controls (N, m + 1)."""
     extended = _plain(extended)
-    flown, sensitivity = _flow(
+    ends, sensitivity = _flow(
         _plain(states),
         extended,
         problem.substeps,
@@ -52,7 +52,7 @@ def discretise(problem: LandingArrays, states: Floats, extended: Floats) -> Disc
         + np.einsum("kij,kj->ki", now, extended[:-1])
         + np.einsum("kij,kj->ki", following, extended[1:])
     )
-    return Discretisation(state, now, following, flown - linear, flown, *_effort(extended, problem.substeps))
+    return Discretisation(state, now, following, ends - linear, ends, *_effort(extended, problem.substeps))
 
 
 def _plain(array: np.ndarray) -> Floats:
@@ -69,22 +69,25 @@ def _flow(states, extended, substeps, acceleration_map, torque_map, inertia, inv
     No inverse of the transition matrix is needed.
     """
     intervals, width = len(states) - 1, extended.shape[1]
-    flown, sensitivity = states[1:].copy(), np.zeros((intervals, 13, 13 + 2 * width))
+    ends, sensitivity = states[1:].copy(), np.zeros((intervals, 13, 13 + 2 * width))
     h = 1.0 / substeps
-    shares = np.array([0.0, h / 2.0, h / 2.0, h])
+    fractions = np.array([0.0, h / 2.0, h / 2.0, h])
     weights = np.array([h / 6.0, h / 3.0, h / 3.0, h / 6.0])
     slope, big_slope = np.zeros(13), np.zeros((13, 13 + 2 * width))
     for i in range(intervals):
-        x, big = flown[i], sensitivity[i]
+        x, big = ends[i], sensitivity[i]
         x[:] = states[i]
         for row in range(13):
             big[row, row] = 1.0
         for step in range(substeps):
             x_start, big_start = x.copy(), big.copy()
             for stage in range(4):
-                fraction = step * h + shares[stage]
+                fraction = step * h + fractions[stage]
                 held = (1.0 - fraction) * extended[i] + fraction * extended[i + 1]
-                trial, big_trial = x_start + shares[stage] * slope, big_start + shares[stage] * big_slope
+                trial, big_trial = (
+                    x_start + fractions[stage] * slope,
+                    big_start + fractions[stage] * big_slope,
+                )
                 rate, in_state, in_thrust = _rate_and_jacobians(
                     trial, held[:-1], acceleration_map, torque_map, inertia, inverse_inertia, gravity
                 )
@@ -93,7 +96,7 @@ def _flow(states, extended, substeps, acceleration_map, torque_map, inertia, inv
                 slope = scale * rate
                 x += weights[stage] * slope
                 big += weights[stage] * big_slope
-    return flown, sensitivity
+    return ends, sensitivity
 
 
 @njit(cache=True)

@@ -29,7 +29,7 @@ from benchmarks.rivals.problem import (
     Floats,
     LandingArrays,
     extended_controls,
-    fly,
+    integrate_intervals,
     three_box,
     worst_defect,
     worst_escape,
@@ -291,14 +291,14 @@ def solve(
     random = np.random.default_rng(seed)
     guess = np.column_stack([problem.states, extended_controls(problem)])
     lines: list[IpoptStart] = []
-    answers: list[Floats] = []
+    solutions: list[Floats] = []
     for start in range(starts):
         columns, line = _solve_from(transcription, guess if start == 0 else perturbed(guess, random))
         lines.append(line)
-        answers.append(columns)
+        solutions.append(columns)
     solved = [i for i, line in enumerate(lines) if line.status == "Solve_Succeeded"]
     best = min(solved, key=lambda i: lines[i].cost) if solved else starts - 1
-    columns = answers[best]
+    columns = solutions[best]
     return IpoptRun(
         cost=lines[best].cost,
         final_time=lines[best].final_time,
@@ -323,7 +323,7 @@ def perturbed(guess: Floats, random: np.random.Generator) -> Floats:
 def _solve_from(transcription: Transcription, guess: Floats) -> tuple[Floats, IpoptStart]:
     """Run IPOPT from rows z_k (N, 13 + m + 1)."""
     began = time.perf_counter()
-    answer: dict[str, Any] = transcription.solver(
+    output: dict[str, Any] = transcription.solver(
         x0=guess.ravel(),
         lbx=transcription.lower,
         ubx=transcription.upper,
@@ -331,10 +331,10 @@ def _solve_from(transcription: Transcription, guess: Floats) -> tuple[Floats, Ip
         ubg=transcription.constraint_upper,
     )
     seconds = time.perf_counter() - began
-    columns = np.array(answer["x"], dtype=np.float64).reshape(guess.shape)
+    columns = np.array(output["x"], dtype=np.float64).reshape(guess.shape)
     statistics = transcription.solver.stats()
     return columns, IpoptStart(
-        cost=float(answer["f"]),
+        cost=float(output["f"]),
         final_time=float(np.trapezoid(columns[:, -1], dx=1.0 / (len(columns) - 1))),
         iterations=int(statistics["iter_count"]),
         seconds=seconds,
@@ -354,7 +354,7 @@ def main() -> None:
     for inner_points in (0, 4):
         for weight_time in (0.0, 5.0):
             run = solve(replace(problem, weight_time=weight_time), inner_points, compiled=compiled)
-            flown = fly(problem, run.states, run.controls, run.dilation)
+            paths = integrate_intervals(problem, run.states, run.controls, run.dilation)
             starts = ", ".join(
                 f"{line.cost:.3f} {line.iterations} ({line.seconds:.1f})"
                 + ("" if line.status == "Solve_Succeeded" else f" {line.status}")
@@ -362,8 +362,8 @@ def main() -> None:
             )
             print(
                 f"{weight_time:3.1f} {inner_points:13d} {run.cost:8.4f} {run.final_time:7.3f} "
-                f"{worst_escape(problem, flown[:, :, :3]):9.3f} "
-                f"{worst_defect(problem, run.states, flown):7.0e} {run.build_seconds:8.1f}; {starts}",
+                f"{worst_escape(problem, paths[:, :, :3]):9.3f} "
+                f"{worst_defect(problem, run.states, paths):7.0e} {run.build_seconds:8.1f}; {starts}",
                 flush=True,
             )
 

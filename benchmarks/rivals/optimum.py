@@ -18,8 +18,8 @@ import numpy as np
 from benchmarks.rivals.ipopt import attitude_error, perturbed, runge_kutta_step
 from benchmarks.rivals.problem import STATES, Floats, LandingArrays, extended_controls
 
-SUBSTEPS, POINTS = 10, 5  # Runge-Kutta steps, and subintervals between the points, an interval
-KINK = 1e-4  # m; smooths max(0, d) in the margin
+SUBSTEPS, SUBINTERVALS = 10, 5  # Runge-Kutta steps, and subintervals between the points, an interval
+SMOOTHING = 1e-4  # m; smooths max(0, d) in the margin
 RESERVE = 1.1  # factor on the margin
 CONE_ROUNDING = 1e-6  # m; smooths the cone's tip
 
@@ -47,14 +47,14 @@ class Start:
 
 
 def _flow(problem: LandingArrays) -> ca.Function:
-    """Function: (x[i], v[i], v[i+1]) to the end state, positions (3, POINTS + 1) and the effort."""
+    """Function: (x[i], v[i], v[i+1]) to the end state, positions (3, SUBINTERVALS + 1) and the effort."""
     step = runge_kutta_step(problem, SUBSTEPS)
     x, first, last = ca.MX.sym("x", STATES), *(ca.MX.sym(n, problem.rotors + 1) for n in "vw")
     held = [(1 - j / SUBSTEPS) * first + j / SUBSTEPS * last for j in range(SUBSTEPS + 1)]
     path = [ca.vertcat(x, 0.0)]
     for j in range(SUBSTEPS):
         path.append(step(path[-1], held[j], held[j + 1]))
-    positions = ca.horzcat(*(y[:3] for y in path[:: SUBSTEPS // POINTS]))
+    positions = ca.horzcat(*(y[:3] for y in path[:: SUBSTEPS // SUBINTERVALS]))
     return ca.Function("flow", [x, first, last], [path[-1][:STATES], positions, path[-1][STATES]])
 
 
@@ -99,9 +99,9 @@ class Optimum:
             attitude_error(states[6:10, -1], problem.goal[6:10]),
             states[10:13, -1] - goal[10:13],
         )
-        at = [points[:, j :: POINTS + 1] for j in range(POINTS + 1)]  # (3, N - 1) each
-        shares = [j / POINTS for j in range(POINTS + 1)]
-        times = [before + problem.interval * (s0 * a + (s1 - s0) * a**2 / 2) for a in shares]
+        at = [points[:, j :: SUBINTERVALS + 1] for j in range(SUBINTERVALS + 1)]  # (3, N - 1) each
+        fractions = [j / SUBINTERVALS for j in range(SUBINTERVALS + 1)]
+        times = [before + problem.interval * (s0 * a + (s1 - s0) * a**2 / 2) for a in fractions]
         inequalities = [*self._corridor(at), *self._cone(at, times), *self._ball(at)]
         cost = problem.weight_control * ca.sum2(effort) + problem.weight_time * final_time
         constraints = ca.vertcat(equalities, *map(ca.vec, inequalities))
@@ -128,9 +128,9 @@ class Optimum:
             cone = ca.vertcat(self.problem.cone_cotangent * from_apex[2, :], from_apex[:2, :])
             offsets.append(cone[:, first:])
         for j, offset in enumerate(offsets):
-            bend = _bend(offsets, j)
-            margin = (ca.sqrt(ca.sum1(bend**2) + KINK**2) - KINK) * np.sqrt(2.0) / 8.0
-            if j == POINTS:  # the last point of the trajectory is the apex
+            second_difference = _second_difference(offsets, j)
+            margin = (ca.sqrt(ca.sum1(second_difference**2) + SMOOTHING**2) - SMOOTHING) * np.sqrt(2.0) / 8.0
+            if j == SUBINTERVALS:  # the last point of the trajectory is the apex
                 offset, margin = offset[:, :-1], margin[:, :-1]
             sideways = ca.sqrt(ca.sum1(offset[1:, :] ** 2) + CONE_ROUNDING**2) - CONE_ROUNDING
             yield offset[0, :] - margin - sideways
@@ -147,13 +147,13 @@ class Optimum:
         for start in range(starts):
             began = time.perf_counter()
             first = guess if start == 0 else perturbed(guess, random)
-            answer: dict[str, Any] = self.solver(
+            output: dict[str, Any] = self.solver(
                 x0=first.ravel(), lbx=lower.ravel(), ubx=upper.ravel(), lbg=0.0, ubg=self._upper
             )
             statistics = self.solver.stats()
             lines.append(
                 Start(
-                    cost=float(answer["f"]),
+                    cost=float(output["f"]),
                     iterations=int(statistics["iter_count"]),
                     seconds=time.perf_counter() - began,
                     status=str(statistics["return_status"]),
@@ -172,21 +172,23 @@ def best(lines: list[Start]) -> float:
     return min((line.cost for line in lines if line.status == "Solve_Succeeded"), default=np.inf)
 
 
-def _bend(values: list[Any], j: int) -> Any:
+def _second_difference(values: list[Any], j: int) -> Any:
     """Second difference over three points times the reserve; extrapolated linearly at the end points."""
     last = len(values) - 1
     if j == 0:
-        return 2 * _bend(values, 1) - _bend(values, 2)
+        return 2 * _second_difference(values, 1) - _second_difference(values, 2)
     if j == last:
-        return 2 * _bend(values, last - 1) - _bend(values, last - 2)
+        return 2 * _second_difference(values, last - 1) - _second_difference(values, last - 2)
     return RESERVE * (values[j - 1] - 2 * values[j] + values[j + 1])
 
 
 def _with_margin(values: list[Any]) -> Iterator[Any]:
     """Values at each point less the margin, without the two fixed ends of the trajectory."""
     for j, value in enumerate(values):
-        bend = _bend(values, j)
-        kept = value - (bend + ca.sqrt(bend**2 + KINK**2) - KINK) / 16.0
+        second_difference = _second_difference(values, j)
+        reduced = (
+            value - (second_difference + ca.sqrt(second_difference**2 + SMOOTHING**2) - SMOOTHING) / 16.0
+        )
         if j == 0:
-            kept = kept[:, 1:]
-        yield kept[:, :-1] if j == POINTS else kept
+            reduced = reduced[:, 1:]
+        yield reduced[:, :-1] if j == SUBINTERVALS else reduced

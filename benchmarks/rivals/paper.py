@@ -24,7 +24,7 @@ from benchmarks.rivals.problem import (
     Floats,
     LandingArrays,
     extended_controls,
-    fly,
+    integrate_intervals,
     three_box,
     worst_cone_gap,
     worst_defect,
@@ -42,7 +42,7 @@ class Subproblem:
     states: cp.Variable
     extended: cp.Variable
     elapsed: cp.Variable
-    virtual: cp.Variable
+    virtual_control: cp.Variable
     parameters: dict[str, cp.Parameter]
     dynamics: list[cp.Parameter]
 
@@ -71,7 +71,7 @@ def _subproblem(
     states = cp.Variable((nodes, STATES), name="states")
     extended = cp.Variable((nodes, rotors + 1), name="extended")
     elapsed = cp.Variable((nodes, 2), name="elapsed")
-    virtual = cp.Variable((nodes - 1, STATES), name="virtual")
+    virtual_control = cp.Variable((nodes - 1, STATES), name="virtual_control")
     virtual_norm = cp.Variable(nodes - 1, name="zeta")
     step_norm = cp.Variable(nodes, name="xi")
     parameters: dict[str, cp.Parameter] = {}
@@ -80,7 +80,7 @@ def _subproblem(
         return parameters.setdefault(name, cp.Parameter(shape, name=name, **signs))
 
     dynamics = [cp.Parameter((STATES, STATES + 2 * (rotors + 1))) for _ in range(nodes - 1)]
-    flown = [
+    ends = [
         matrix @ cp.hstack([states[i], extended[i], extended[i + 1]]) for i, matrix in enumerate(dynamics)
     ]
     efforts = cp.sum(
@@ -88,14 +88,14 @@ def _subproblem(
         + cp.multiply(given("effort_next", nodes - 1, rotors + 1), extended[1:]),
         axis=1,
     )
-    moved = cp.hstack([states, extended, elapsed] if elapsed_in_trust else [states, extended])
+    node_variables = cp.hstack([states, extended, elapsed] if elapsed_in_trust else [states, extended])
     constraints = [
-        states[1:] == cp.vstack(flown) + given("offset", nodes - 1, STATES) + virtual,
-        cp.norm(virtual, axis=1) <= virtual_norm,
+        states[1:] == cp.vstack(ends) + given("offset", nodes - 1, STATES) + virtual_control,
+        cp.norm(virtual_control, axis=1) <= virtual_norm,
         elapsed[0] == 0.0,
         elapsed[1:, 0] == elapsed[:-1, 0] + efforts + given("effort_offset", nodes - 1),
         elapsed[1:, 1] == elapsed[:-1, 1] + (extended[:-1, -1] + extended[1:, -1]) / (2 * (nodes - 1)),
-        cp.norm(moved - given("reference", *moved.shape), axis=1) <= step_norm,
+        cp.norm(node_variables - given("reference", *node_variables.shape), axis=1) <= step_norm,
         states[0] == given("start", STATES),
         states[-1] == given("goal", STATES),
         extended >= given("lower", nodes, rotors + 1),
@@ -109,7 +109,7 @@ def _subproblem(
         + given("weight_trust", nonneg=True) * cp.sum(step_norm)
     )
     problem = cp.Problem(cp.Minimize(objective), constraints)
-    return Subproblem(problem, states, extended, elapsed, virtual, parameters, dynamics)
+    return Subproblem(problem, states, extended, elapsed, virtual_control, parameters, dynamics)
 
 
 def path_constraints(
@@ -205,9 +205,9 @@ class PaperIteration:
     """w_u phi_N + w_t t_N."""
     final_time: float
     """Seconds."""
-    virtual: float
+    virtual_control: float
     """Largest |nu_i|."""
-    step: float
+    step_norm: float
     """Largest |z_k - zref_k|."""
     discretise_seconds: float
     setup_seconds: float
@@ -254,7 +254,9 @@ def solve(problem: LandingArrays, elapsed_in_trust: bool = True) -> PaperRun:
         reference, record = _iterate(problem, subproblem, reference)
         records.append(record)
         history.append(reference)
-        converged = record.virtual < problem.tolerance_virtual and record.step < problem.tolerance_trust
+        converged = (
+            record.virtual_control < problem.tolerance_virtual and record.step_norm < problem.tolerance_trust
+        )
     return PaperRun(
         iterations=records,
         compile_seconds=compile_seconds,
@@ -300,8 +302,8 @@ def _iterate(
         objective=float(subproblem.problem.objective.value),  # pyright: ignore[reportArgumentType]
         cost=float(problem.weight_control * effort + problem.weight_time * final_time),
         final_time=float(final_time),
-        virtual=float(np.linalg.norm(_value(subproblem.virtual), axis=1).max()),
-        step=float(np.linalg.norm(step, axis=1).max()),
+        virtual_control=float(np.linalg.norm(_value(subproblem.virtual_control), axis=1).max()),
+        step_norm=float(np.linalg.norm(step, axis=1).max()),
         discretise_seconds=discretised - began,
         setup_seconds=set_seconds + cvxpy_seconds,
         solver_seconds=solver_seconds,
@@ -390,15 +392,15 @@ def main() -> None:
         solve(asked)  # compiles
         run = solve(asked)
         last = run.iterations[-1]
-        flown = fly(problem, run.states, run.controls, run.dilation)
+        paths = integrate_intervals(problem, run.states, run.controls, run.dilation)
         discretising, setting_up, solving = (
             1e3 * np.median([getattr(record, name) for record in run.iterations])
             for name in ("discretise_seconds", "setup_seconds", "solver_seconds")
         )
         print(
             f"{weight_trust:4.1f} {weight_time:4.1f} {len(run.iterations):12d}  {run.converged!s:>9} "
-            f"{last.cost:7.3f} {last.final_time:7.3f} {worst_escape(problem, flown[:, :, :3]):9.3f} "
-            f"{worst_defect(problem, run.states, flown):7.0e} "
+            f"{last.cost:7.3f} {last.final_time:7.3f} {worst_escape(problem, paths[:, :, :3]):9.3f} "
+            f"{worst_defect(problem, run.states, paths):7.0e} "
             f"{discretising:20.1f} {setting_up:6.1f} {solving:9.1f}"
         )
     double_integrator_guess(problem, 6.0)

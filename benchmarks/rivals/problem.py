@@ -188,7 +188,7 @@ def state_rate(problem: LandingArrays, state: Floats, thrusts: Floats) -> Floats
     return np.concatenate([velocity, acceleration, attitude_rate, rate_of_rate], dtype=np.float64)
 
 
-def fly_interval(
+def integrate_interval(
     problem: LandingArrays, state: Floats, now: Floats, following: Floats, substeps: int
 ) -> Floats:
     """States (substeps + 1, 13) across one interval from its first node.
@@ -216,22 +216,22 @@ def fly_interval(
     return np.array(path)
 
 
-def fly(
+def integrate_intervals(
     problem: LandingArrays, states: Floats, controls: Floats, dilation: Floats, substeps: int = 20
 ) -> Floats:
     """States (N - 1, substeps + 1, 13) across every interval, each integrated from its own first node."""
     extended = np.column_stack([controls, dilation])
     return np.array(
         [
-            fly_interval(problem, states[i], extended[i], extended[i + 1], substeps)
+            integrate_interval(problem, states[i], extended[i], extended[i + 1], substeps)
             for i in range(problem.nodes - 1)
         ]
     )
 
 
-def worst_defect(problem: LandingArrays, states: Floats, flown: Floats) -> float:
+def worst_defect(problem: LandingArrays, states: Floats, paths: Floats) -> float:
     """Largest defect: |integrated state - given state| at a node."""
-    return float(np.abs(flown[:, -1] - states[1:]).max())
+    return float(np.abs(paths[:, -1] - states[1:]).max())
 
 
 def worst_escape(problem: LandingArrays, positions: Floats) -> float:

@@ -1,7 +1,7 @@
 """Benchmarks of speed: parts of a solve, rivals, sizes, cold starts and batches.
 
     python -m benchmarks.speed [--json] [--check] [--only PART ...] [--gpu] [--nodes 30] [--repeats 7]
-                               [--lanes 4096] [--total 65536]
+                               [--batch 4096] [--total 65536]
 
 Parts: ``profile``, ``rivals`` (extra ``benchmarks``), ``scaling``, ``starts``, ``levels``, ``alone``, ``batches``. The
 default is all but the last two; ``--gpu`` runs these two. ``--check`` compares the ratios with
@@ -23,17 +23,17 @@ PARTS = ("profile", "rivals", "scaling", "starts", "levels")
 FOR_ACCELERATORS = ("alone", "batches")
 
 
-def measure(part: str, wanted: argparse.Namespace, echo: Callable[[str], None]) -> dict[str, Any]:
+def measure(part: str, options: argparse.Namespace, echo: Callable[[str], None]) -> dict[str, Any]:
     """Figures of one part. Imports only the modules of this part: not every machine has the rivals."""
     match part:
         case "profile":
             from benchmarks.speed import profile
 
-            return {"profile": profile.run(echo, wanted.nodes)}
+            return {"profile": profile.run(echo, options.nodes)}
         case "rivals":
             from benchmarks.speed import rivals
 
-            return rivals.run(echo, wanted.nodes, wanted.repeats)
+            return rivals.run(echo, options.nodes, options.repeats)
         case "scaling":
             from benchmarks.speed import scaling
 
@@ -41,19 +41,19 @@ def measure(part: str, wanted: argparse.Namespace, echo: Callable[[str], None]) 
         case "starts":
             from benchmarks.speed import starts
 
-            return starts.run(echo, wanted.nodes)
+            return starts.run(echo, options.nodes)
         case "levels":
             from benchmarks.speed import levels
 
-            return levels.run(echo, wanted.nodes, wanted.repeats)
+            return levels.run(echo, options.nodes, options.repeats)
         case "alone":
             from benchmarks.speed import alone
 
-            return alone.run(echo, wanted.nodes, wanted.lanes)
+            return alone.run(echo, options.nodes, options.batch)
         case _:
             from benchmarks.speed import batches
 
-            return batches.run(echo, wanted.nodes, wanted.lanes, wanted.total)
+            return batches.run(echo, options.nodes, options.batch, options.total)
 
 
 def main() -> int:
@@ -65,24 +65,22 @@ def main() -> int:
     parser.add_argument("--gpu", action="store_true", help="the parts for accelerators: alone and batches")
     parser.add_argument("--nodes", type=int, default=30)
     parser.add_argument("--repeats", type=int, default=7, help="of a plan that is compared with a rival's")
-    parser.add_argument("--lanes", type=int, default=4096, help="plans at once")
-    parser.add_argument(
-        "--total", type=int, default=65536, help="plans in one call, by chunks of so many lanes"
-    )
-    wanted = parser.parse_args()
+    parser.add_argument("--batch", type=int, default=4096, help="plans at once")
+    parser.add_argument("--total", type=int, default=65536, help="plans in one call, by chunks of --batch")
+    options = parser.parse_args()
 
     def echo(line: str) -> None:
-        print(line, file=sys.stderr if wanted.json else sys.stdout, flush=True)
+        print(line, file=sys.stderr if options.json else sys.stdout, flush=True)
 
     found: dict[str, Any] = {"machine": platform.machine(), "device": jax.devices()[0].device_kind}
-    for part in wanted.only or (FOR_ACCELERATORS if wanted.gpu else PARTS):
-        found |= measure(part, wanted, echo)
+    for part in options.only or (FOR_ACCELERATORS if options.gpu else PARTS):
+        found |= measure(part, options, echo)
     worse = []
-    if wanted.check:
+    if options.check:
         from benchmarks.speed import check
 
         worse = check.regressions(found, echo)
-    if wanted.json:
+    if options.json:
         print(json.dumps(found))
     return 1 if worse else 0
 

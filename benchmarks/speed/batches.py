@@ -16,7 +16,7 @@ from benchmarks.speed.scaling import memory
 from benchmarks.speed.timing import elapsed
 from jaxscp import PTR, LandingScenario, Planner, Solution, Status
 from jaxscp.landing.scenarios import platform_to_platform
-from tests.support.random_instances import bare, random_instances
+from tests.support.random_instances import random_instances, with_time_weight
 
 REPEATS = 3  # of a batch; the least time counts
 WALLS = 0.15  # m: largest outward shift of a face of the corridor
@@ -25,38 +25,38 @@ WALLS = 0.15  # m: largest outward shift of a face of the corridor
 def instances(key: Any, count: int) -> LandingScenario:
     """A batch of distinct feasible scenarios."""
     keys = jax.random.split(key)
-    batch = random_instances(keys[0], count, lambda: bare(platform_to_platform(), 0.0))
+    batch = random_instances(keys[0], count, lambda: with_time_weight(platform_to_platform(), 0.0))
     offsets = batch.corridor.offsets
     back = jax.random.uniform(keys[1], offsets.shape, offsets.dtype, maxval=WALLS)
     return eqx.tree_at(lambda s: s.corridor.offsets, batch, offsets + back)
 
 
-def sizes_up_to(lanes: int) -> list[int]:
+def sizes_up_to(batch_size: int) -> list[int]:
     """The batch sizes 1, 16, 256, 4096 and 16384 below the given one, and the given one."""
-    return [size for size in (1, 16, 256, 4096, 16384) if size < lanes] + [lanes]
+    return [size for size in (1, 16, 256, 4096, 16384) if size < batch_size] + [batch_size]
 
 
-def run(echo: Callable[[str], None], nodes: int, lanes: int, total: int) -> dict[str, Any]:
+def run(echo: Callable[[str], None], nodes: int, batch_size: int, total: int) -> dict[str, Any]:
     """Figures of the given batch size, of ``total`` instances by chunks, then of smaller batches."""
     device = jax.devices()[0]
     echo(f"{device.device_kind}: the paper's mode, {nodes} nodes, float64; every instance another corridor")
     planner = Planner(nodes=nodes, method=PTR())
-    main, compiled = at_once(planner, lanes, echo)
-    chunked = by_chunks(compiled, lanes, total, echo) if total > lanes else None
-    rows = {size: at_once(planner, size, echo)[0] for size in sizes_up_to(lanes)[:-1]}
+    main, compiled = at_once(planner, batch_size, echo)
+    chunked = by_chunks(compiled, batch_size, total, echo) if total > batch_size else None
+    rows = {size: at_once(planner, size, echo)[0] for size in sizes_up_to(batch_size)[:-1]}
     best = chunked or main
     on_host = host_seconds(planner, echo) if device.platform != "cpu" else None
     return {
         "device": device.device_kind,
-        "lanes": lanes,
+        "batch": batch_size,
         "trajectories_per_s": main["trajectories_per_s"],
         "subproblems_of_plans_per_s": main["subproblems_per_s"],
         "conic_newton_steps_per_s": main["conic_newton_steps_per_s"],
-        "converged_share": best["converged_share"],
+        "converged_fraction": best["converged_fraction"],
         "batch_of_one_ms": 1e3 * rows[1]["seconds"] if 1 in rows else None,
         "one_on_host_ms": 1e3 * on_host if on_host else None,
         "bytes_per_instance": main["bytes_per_instance"],
-        "by_size": rows | {lanes: main},
+        "by_size": rows | {batch_size: main},
         "chunked": chunked,
     }
 
@@ -65,13 +65,13 @@ def at_once(planner: Planner, size: int, echo: Callable[[str], None]) -> tuple[d
     """Compile for a batch size and plan one batch; returns the row and the program."""
     batch = instances(jax.random.key(size), size)
     began = time.perf_counter()
-    compiled = planner.compile(jax.tree.map(lambda v: v[0], batch), lanes=size)
+    compiled = planner.compile(jax.tree.map(lambda v: v[0], batch), batch_size=size)
     compile_seconds = time.perf_counter() - began
-    held = max(memory(part) for part in (compiled.setup, compiled.solve, compiled.conclude)) / size
-    echo(f"{size} at once: compiled in {compile_seconds:.0f} s, {held / 2**10:.0f} KiB an instance")
+    memory_each = max(memory(part) for part in (compiled.setup, compiled.solve, compiled.conclude)) / size
+    echo(f"{size} at once: compiled in {compile_seconds:.0f} s, {memory_each / 2**10:.0f} KiB an instance")
     solutions = jax.block_until_ready(compiled(batch))
     row = figures(solutions, min(elapsed(lambda: compiled(batch)) for _ in range(REPEATS)))
-    row |= {"compile_seconds": compile_seconds, "bytes_per_instance": held}
+    row |= {"compile_seconds": compile_seconds, "bytes_per_instance": memory_each}
     echo(_line(f"{size} at once", row))
     return row, compiled
 
@@ -87,19 +87,19 @@ def host_seconds(planner: Planner, echo: Callable[[str], None]) -> float:
     return seconds
 
 
-def by_chunks(compiled: Any, lanes: int, total: int, echo: Callable[[str], None]) -> dict[str, Any]:
+def by_chunks(compiled: Any, batch_size: int, total: int, echo: Callable[[str], None]) -> dict[str, Any]:
     """Figures of many instances, by chunks of the compiled size; drawing the instances is not timed."""
-    chunks = [instances(jax.random.key(100 + i), lanes) for i in range(-(-total // lanes))]
+    chunks = [instances(jax.random.key(100 + i), batch_size) for i in range(-(-total // batch_size))]
     jax.block_until_ready(chunks)
     found: list[Solution] = []
-    seconds = elapsed(lambda: found.extend(sweep(compiled, chunks)) or found)
+    seconds = elapsed(lambda: found.extend(plan_chunks(compiled, chunks)) or found)
     solutions = jax.tree.map(lambda *parts: np.concatenate([np.asarray(p) for p in parts]), *found)
     row = figures(solutions, seconds)
-    echo(_line(f"{row['instances']} by chunks of {lanes}", row))
+    echo(_line(f"{row['instances']} by chunks of {batch_size}", row))
     return row
 
 
-def sweep(compiled: Any, chunks: list[LandingScenario]) -> Iterator[Solution]:
+def plan_chunks(compiled: Any, chunks: list[LandingScenario]) -> Iterator[Solution]:
     """Solutions of the chunks, in order; each is copied to the host while the next is planned."""
     last = None
     for chunk in chunks:
@@ -119,7 +119,7 @@ def figures(solutions: Solution, seconds: float) -> dict[str, Any]:
         "trajectories_per_s": iterations.size / seconds,
         "subproblems_per_s": float(np.sum(iterations)) / seconds,
         "conic_newton_steps_per_s": float(np.sum(steps)) / seconds,
-        "converged_share": float(np.mean(np.asarray(solutions.status == Status.converged))),
+        "converged_fraction": float(np.mean(np.asarray(solutions.status == Status.converged))),
         "iterations_median": float(np.median(iterations)),
         "iterations_most": int(np.max(iterations)),
     }
@@ -129,6 +129,6 @@ def _line(name: str, row: dict[str, Any]) -> str:
     return (
         f"{name}: {1e3 * row['seconds']:.1f} ms, {row['trajectories_per_s']:.1f} trajectories/s, "
         f"{row['subproblems_per_s']:.1f} subproblems/s, {row['conic_newton_steps_per_s']:.0f} conic Newton steps/s, "
-        f"{row['converged_share']:.1%} converged, {row['iterations_median']:.0f} subproblems a plan "
+        f"{row['converged_fraction']:.1%} converged, {row['iterations_median']:.0f} subproblems a plan "
         f"(most {row['iterations_most']})"
     )

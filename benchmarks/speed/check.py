@@ -17,14 +17,14 @@ TOLERANCE = 1.5  # factor: other programs may use the machine during a measureme
 
 def regressions(found: dict[str, Any], echo: Callable[[str], None]) -> list[str]:
     """Names of the ratios that are worse by more than the tolerance; skips ratios without a measurement."""
-    kept = json.loads(BASELINE.read_text())["ratios"]
+    baseline = json.loads(BASELINE.read_text())["ratios"]
     worse = []
     for name, higher in HIGHER_IS_BETTER.items():
-        if name not in found or name not in kept:
+        if name not in found or name not in baseline:
             echo(f"{name:22} not compared")
             continue
-        now, before = found[name] or 0.0, kept[name]
+        now, before = found[name] or 0.0, baseline[name]
         bad = now < before / TOLERANCE if higher else now > before * TOLERANCE
-        echo(f"{name:22}{now:9.2f}, kept {before:.2f}: {'worse' if bad else 'fine'}")
+        echo(f"{name:22}{now:9.2f}, baseline {before:.2f}: {'worse' if bad else 'fine'}")
         worse += [name] if bad else []
     return worse

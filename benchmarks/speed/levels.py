@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.speed.apart import Apart, in_turns
+from benchmarks.speed.separate_process import SeparateProcess, in_turns
 from benchmarks.speed.timing import elapsed
 from jaxscp import PTR, NewtonSCP, Planner, scenarios
 from jaxscp.backends import libraries
@@ -35,9 +35,9 @@ def run(echo: Callable[[str], None], nodes: int, repeats: int) -> dict[str, Any]
 
 def milliseconds(mode: str, levels: list[str], nodes: int, repeats: int) -> dict[str, float]:
     """Median of warm calls by level, ms."""
-    with ExitStack() as processes:
-        apart = [Apart(planned, level, mode, nodes, calls=CALLS) for level in levels]
-        seconds = in_turns([processes.enter_context(each) for each in apart], repeats)
+    with ExitStack() as stack:
+        functions = [SeparateProcess(planned, level, mode, nodes, calls=CALLS) for level in levels]
+        seconds = in_turns([stack.enter_context(each) for each in functions], repeats)
     return {level: 1e3 * float(np.median(calls)) for level, calls in zip(levels, seconds, strict=True)}
 
 

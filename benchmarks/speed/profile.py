@@ -11,7 +11,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -25,19 +24,27 @@ from jaxscp.conic.equilibrate import equilibrate
 from jaxscp.landing.scenarios import platform_to_platform
 from jaxscp.landing.validation import validate
 from jaxscp.linalg import riccati
-from jaxscp.nlp.newton_system import local, newton_chain, scaled, scalings, weighed
+from jaxscp.nlp.newton_system import (
+    eliminate_inequalities,
+    newton_matrix,
+    scaled,
+    scalings,
+    second_order_model,
+)
 from jaxscp.problem.problem import terminal_cost, typical_sizes
 from jaxscp.scp.active_set import active_set, slacks
-from jaxscp.scp.hessian_convexification import LinearDynamics, condensed, projected
-from jaxscp.scp.nodal_subproblem import convexify
+from jaxscp.scp.hessian_convexification import LinearDynamics, convexified_along_horizon, projected
+from jaxscp.scp.interval_subproblem import interval_program
+from jaxscp.scp.nodal_subproblem import nodal_subproblem
 from jaxscp.scp.second_order_correction import corrected, correction
-from jaxscp.scp.subproblem import lifted_program
 from jaxscp.solver.solution import Solution
 from jaxscp.transcription.discretise import discretise
 from jaxscp.transcription.lagrangian import residual
 from jaxscp.transcription.layout import stage_sizes, trajectory_of
 from jaxscp.transcription.shooting import evaluate, linearise_with_hessian
+from jaxscp.transcription.stationarity import stationarity
 from jaxscp.verification.certificate import certify
+from jaxscp.verification.gradient import verified_gradient
 
 Echo = Callable[[str], None]
 
@@ -64,9 +71,9 @@ def profile(planner: Planner, scenario: LandingScenario, machine: Ceiling, echo:
     echo(
         f"{_describe(planner)}, {planner.nodes} nodes: {1e3 * whole:.1f} ms a plan, "
         f"{int(solution.iterations)} subproblems, {_newton_steps(solution)} conic Newton steps, "
-        f"{int(solution.newton_steps)} interior steps"
+        f"{int(solution.interior_point_iterations)} interior steps"
     )
-    echo(f"{'':38}{'times':>6}{'us each':>10}{'ms':>9}{'share':>7}{'kFLOP each':>12}{'of peak':>9}")
+    echo(f"{'':38}{'times':>6}{'us each':>10}{'ms':>9}{'fraction':>10}{'kFLOP each':>12}{'of peak':>9}")
     pieces = Pieces(whole, machine, echo)
     _all_pieces(pieces, planner, scenario, solution)
     echo(_row(Piece("the rest", 1, pieces.rest, np.nan), whole, machine))
@@ -74,7 +81,7 @@ def profile(planner: Planner, scenario: LandingScenario, machine: Ceiling, echo:
         "seconds": whole,
         "subproblems": int(solution.iterations),
         "conic_newton_steps": _newton_steps(solution),
-        "interior_steps": int(solution.newton_steps),
+        "interior_steps": int(solution.interior_point_iterations),
         "pieces": [dataclasses.asdict(p) for p in pieces.found],
         "rest_seconds": pieces.rest,
     }
@@ -91,7 +98,7 @@ def _newton_steps(solution: Solution) -> int:
 def _row(p: Piece, whole: float, machine: Ceiling) -> str:
     name = f"    {p.name}" if p.inside else p.name
     total = p.times * p.seconds
-    line = f"{name:38}{p.times:6.0f}{1e6 * p.seconds:10.1f}{1e3 * total:9.2f}{total / whole:7.0%}"
+    line = f"{name:38}{p.times:6.0f}{1e6 * p.seconds:10.1f}{1e3 * total:9.2f}{total / whole:10.0%}"
     if np.isnan(p.flops):
         return line
     return f"{line}{p.flops / 1e3:12.0f}{p.flops / p.seconds / machine.flops:9.1%}"
@@ -129,9 +136,12 @@ def _all_pieces(pieces: Pieces, planner: Planner, scenario: LandingScenario, sol
     if isinstance(planner.method, PTR):
         _paper_pieces(pieces, planner.method, problem, z, solution)
     else:
+        assert isinstance(planner.method, NewtonSCP)
         _default_pieces(pieces, planner.method, problem, z, solution)
-    flown = trajectory_of(problem, solution.z)
-    pieces.time("certificate", 1, lambda p, t: certify(p, t, planner.samples), problem, flown, count=False)
+    trajectory = trajectory_of(problem, solution.z)
+    pieces.time(
+        "certificate", 1, lambda p, t: certify(p, t, planner.samples), problem, trajectory, count=False
+    )
 
 
 def _paper_pieces(pieces: Pieces, method: PTR, problem: Any, z: Any, solution: Solution) -> None:
@@ -139,7 +149,7 @@ def _paper_pieces(pieces: Pieces, method: PTR, problem: Any, z: Any, solution: S
     flow = pieces.time("discretise", count + 1, lambda p, z: discretise(p, z, method.substeps), problem, z)
 
     def assemble(problem, z, flow):
-        return convexify(problem, z, flow, method.trust_region, method.virtual_weight)[0]
+        return nodal_subproblem(problem, z, flow, method.trust_region, method.virtual_weight)[0]
 
     program = pieces.time("assemble", count, assemble, problem, z, flow)
     _conic_pieces(pieces, method.conic, program, count, _newton_steps(solution))
@@ -183,9 +193,9 @@ def _conic_pieces(pieces: Pieces, conic: Any, program: Any, count: int, steps: i
 
 def _default_pieces(pieces: Pieces, method: NewtonSCP, problem: Any, z: Any, solution: Solution) -> None:
     count, grid = int(solution.iterations), method.grid
-    y = solution.multipliers  # the guess has zero multipliers: its curvature is too easy to clip
+    y = solution.multipliers  # the guess has zero multipliers: its Hessian is too easy to convexify
     linear, curvature = pieces.time(
-        "expand to second order",
+        "linearise, with Hessian",
         count + 1,
         lambda p, z, y: linearise_with_hessian(p, z, y, grid),
         problem,
@@ -194,14 +204,17 @@ def _default_pieces(pieces: Pieces, method: NewtonSCP, problem: Any, z: Any, sol
     )
     scale = stage_sizes(problem, typical_sizes(z))
     hessian, n = curvature * scale * scale[:, None], problem.state_size
-    convex = pieces.time("curvature: clip", count, projected, hessian)
+    convex = pieces.time("Hessian: project", count, projected, hessian)
     defect = residual(linear.outputs, terminal_cost(problem, z), z).defect
-    chain = LinearDynamics(linear.jacobian.end * scale / scale[:n, None], defect / scale[:n])
-    times = _condensed_times(method, problem, z, count)
-    pieces.time("curvature: condense", times, condensed, hessian, chain, jnp.eye(problem.variables))
+    dynamics = LinearDynamics(linear.jacobian.end * scale / scale[:n, None], defect / scale[:n])
+    times = _times_along_horizon(method, problem, z, count)
+    final = jnp.eye(problem.variables)
+    pieces.time(
+        "Hessian: convexify along the horizon", times, convexified_along_horizon, hessian, dynamics, final
+    )
 
     def assemble(problem, z, linear, hessian):
-        return lifted_program(
+        return interval_program(
             problem, z, linear, hessian, jnp.zeros(hessian.shape[:2]), method.virtual_weight
         )
 
@@ -213,11 +226,11 @@ def _default_pieces(pieces: Pieces, method: NewtonSCP, problem: Any, z: Any, sol
     _interior_pieces(pieces, method, problem, solution)
 
 
-def _condensed_times(method: NewtonSCP, problem: Any, z: Any, count: int) -> int:
-    """Number of subproblems with curvature convexified along the horizon: the last ones."""
+def _times_along_horizon(method: NewtonSCP, problem: Any, z: Any, count: int) -> int:
+    """Number of subproblems with a Hessian convexified along the horizon: the last ones."""
     state, step, times = jax.jit(method.init)(problem, z), jax.jit(method.step), 0
     for _ in range(count):
-        times += bool(state.exact)
+        times += bool(state.full_hessian)
         state = step(problem, state)
     return times
 
@@ -228,38 +241,43 @@ def _line_search(pieces: Pieces, method: NewtonSCP, problem, z, linear, y, metri
     active = active_set(problem, linear, y, stage_sizes(problem, sizes))
     args = (problem, linear, active, metric, sizes)
     by = pieces.time("correction: factor", count, correction, *args)
-    room = slacks(problem, linear.outputs)
+    target_slack = slacks(problem, linear.outputs)
     rounds = method.correction_rounds
 
-    def correct(problem, z, by, room):
-        return corrected(problem, z, by, grid, rounds, room)
+    def correct(problem, z, by, target_slack):
+        return corrected(problem, z, by, grid, rounds, target_slack)
 
-    pieces.time("correction: of a candidate", count, correct, problem, z, by, room)
-    flights = (rounds + 2) * count  # one integration each round, and the test of its gain
-    pieces.time("flights", flights, lambda p, z: evaluate(p, z, grid), problem, z, inside=True)
+    pieces.time("correction: of a candidate", count, correct, problem, z, by, target_slack)
+    integrations = (rounds + 2) * count  # one integration each round, and the test of its gain
+    pieces.time("integrations", integrations, lambda p, z: evaluate(p, z, grid), problem, z, inside=True)
 
 
 def _interior_pieces(pieces: Pieces, method: NewtonSCP, problem: Any, solution: Solution) -> None:
     interior, grid, z, y = method.interior, method.grid, solution.z, solution.multipliers
-    steps, sizes = int(solution.newton_steps), typical_sizes(solution.z)
+    steps, sizes = int(solution.interior_point_iterations), typical_sizes(solution.z)
     start = jax.jit(lambda p, z, y: interior.init(p, z, y, grid))(problem, z, y)
     pieces.time("interior: Newton step", steps, lambda p, s: interior.step(p, s, grid, sizes), problem, start)
     inside = functools.partial(pieces.time, inside=True)
-    here = inside("the problem to second order", steps, lambda p, z, y: local(p, z, y, grid), problem, z, y)
+    model = inside(
+        "second-order model", steps, lambda p, z, y: second_order_model(p, z, y, grid), problem, z, y
+    )
 
-    def matrix(problem, here, start):
-        weigh = scalings(problem, start.slack, start.y.values)
-        sides = (start.y.values, start.slack, start.slack)
-        condensed = weighed(problem, here.jacobians, weigh, *sides)
-        return newton_chain(problem, here, condensed, sizes), condensed.sides
+    def matrix(problem, model, start):
+        w = scalings(problem, start.slack, start.y.values)
+        vectors = (start.y.values, start.slack, start.slack)
+        eliminated = eliminate_inequalities(problem, model.jacobians, w, *vectors)
+        return newton_matrix(problem, model, eliminated, sizes), eliminated.products
 
-    chain, _ = inside("matrix", steps, matrix, problem, here, start)
-    factor = inside("factor", steps, riccati.factor, chain)
-    inside("back-solve", steps, riccati.solve, factor, scaled(here.lack, sizes))
-    ended = jax.jit(method.init)(problem, z)
-    pieces.time("polish", float(not solution.differentiable), method.polish, problem, ended)
-    ended = eqx.tree_at(lambda s: s.multipliers, ended, y)
-    pieces.time("residual of optimality", 1, method.optimality, problem, ended)
+    lq_problem, _ = inside("matrix", steps, matrix, problem, model, start)
+    factor = inside("factor", steps, riccati.factor, lq_problem)
+    inside("back-solve", steps, riccati.solve, factor, scaled(model.residual, sizes))
+    last, times = jax.jit(method.init)(problem, z), float(not solution.differentiable)
+    pieces.time("restore dynamics", times, method.restore_dynamics, problem, last)
+
+    def kkt_residual(problem, z, y, cost):
+        return stationarity(verified_gradient(problem, z, y, grid), z, cost)
+
+    pieces.time("KKT residual", 1, kkt_residual, problem, z, y, solution.cost)
 
 
 def run(echo: Echo, nodes: int = 30) -> dict[str, Any]:

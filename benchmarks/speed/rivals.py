@@ -13,7 +13,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from benchmarks.speed.apart import Apart, in_turns
+from benchmarks.speed.separate_process import SeparateProcess, in_turns
 from benchmarks.speed.timing import elapsed
 from jaxscp import Planner, scenarios, status_names
 
@@ -27,31 +27,31 @@ def run(echo: Callable[[str], None], nodes: int, repeats: int) -> dict[str, Any]
     """Figures of both missions in the paper's mode, and of the first in the default mode."""
     echo(f"{'to the same stop':18}{'cost':>20}{'subproblems':>14}{'warm solve ms':>20}{'ratio':>8}")
     echo(f"{'':18}{'ours':>10}{'published':>10}{'ours':>7}{'publ.':>7}{'ours':>10}{'published':>10}")
-    published = {name: against_published(name, nodes, repeats, echo) for name in MISSIONS}
+    stops = {name: against_paper_stack(name, nodes, repeats, echo) for name in MISSIONS}
     optimum = to_optimum(FIRST, nodes, repeats, echo)
     optimum_ratio = optimum["seconds_published"] / optimum["seconds"]
     ipopt_ratio = optimum["seconds_ipopt"] / optimum["seconds"]
     echo(f"the published stack's stop over that: {optimum_ratio:.2f} times; IPOPT: {ipopt_ratio:.1f} times")
     return {
-        "paper_ratio": published[FIRST]["ratio"],
+        "paper_ratio": stops[FIRST]["ratio"],
         "optimum_ratio": optimum_ratio,
         "ipopt_ratio": ipopt_ratio if optimum["same_cost"] else None,
-        "published": published,
+        "published": stops,
         "optimum": optimum,
     }
 
 
-def against_published(name: str, nodes: int, repeats: int, echo: Callable[[str], None]) -> dict[str, Any]:
+def against_paper_stack(name: str, nodes: int, repeats: int, echo: Callable[[str], None]) -> dict[str, Any]:
     """Figures of the paper's mode and of the published stack."""
-    with _warm(ours_to_the_stop, name, nodes) as ours, _warm(published, name, nodes) as theirs:
-        calls, calls_published = in_turns([ours, theirs], repeats)
+    with _warm(ours_to_the_stop, name, nodes) as ours, _warm(paper_stack, name, nodes) as theirs:
+        calls, paper_calls = in_turns([ours, theirs], repeats)
     row = {
         "cost": calls[0]["cost"],
-        "cost_published": calls_published[0]["cost"],
+        "cost_published": paper_calls[0]["cost"],
         "iterations": calls[0]["iterations"],
-        "iterations_published": calls_published[0]["iterations"],
+        "iterations_published": paper_calls[0]["iterations"],
         "seconds": _median(calls),
-        "seconds_published": _median(calls_published),
+        "seconds_published": _median(paper_calls),
     }
     row["ratio"] = row["seconds_published"] / row["seconds"]
     echo(
@@ -67,14 +67,14 @@ def to_optimum(name: str, nodes: int, repeats: int, echo: Callable[[str], None])
 
     The default mode's time includes guess and certificate.
     """
-    with _warm(ours_to_the_optimum, name, nodes) as ours, _warm(published, name, nodes) as theirs:
-        calls, calls_published = in_turns([ours, theirs], repeats)
-    with Apart(ipopt, name, nodes) as best:
+    with _warm(ours_to_the_optimum, name, nodes) as ours, _warm(paper_stack, name, nodes) as theirs:
+        calls, paper_calls = in_turns([ours, theirs], repeats)
+    with SeparateProcess(ipopt, name, nodes) as best:
         (starts,) = in_turns([best], 1)
-    start, seconds, seconds_published = starts[0], _median(calls), _median(calls_published)
+    start, seconds, paper_seconds = starts[0], _median(calls), _median(paper_calls)
     echo(
         f"to the optimum, {nodes} nodes: ours {calls[0]['cost']:.4f} ({calls[0]['status']}) in "
-        f"{1e3 * seconds:.1f} ms, the published stack to its stop in {1e3 * seconds_published:.1f} ms,"
+        f"{1e3 * seconds:.1f} ms, the published stack to its stop in {1e3 * paper_seconds:.1f} ms,"
     )
     echo(
         f"IPOPT {start['cost']:.4f} ({start['status']}, {start['iterations']} iterations) in "
@@ -87,14 +87,14 @@ def to_optimum(name: str, nodes: int, repeats: int, echo: Callable[[str], None])
         "cost_ipopt": start["cost"],
         "same_cost": solved and abs(start["cost"] / calls[0]["cost"] - 1.0) < SAME_COST,
         "seconds": seconds,
-        "seconds_published": seconds_published,
+        "seconds_published": paper_seconds,
         "seconds_ipopt": start["seconds"],
         "ipopt": start,
     }
 
 
-def _warm(make: Callable[..., Callable[[], dict[str, Any]]], *args: Any) -> Apart:
-    return Apart(make, *args, calls=CALLS)
+def _warm(make: Callable[..., Callable[[], dict[str, Any]]], *args: Any) -> SeparateProcess:
+    return SeparateProcess(make, *args, calls=CALLS)
 
 
 def _median(calls: list[dict[str, Any]]) -> float:
@@ -119,7 +119,7 @@ def ours_to_the_stop(name: str, nodes: int) -> Callable[[], dict[str, Any]]:
     return plan
 
 
-def published(name: str, nodes: int) -> Callable[[], dict[str, Any]]:
+def paper_stack(name: str, nodes: int) -> Callable[[], dict[str, Any]]:
     """The published stack."""
     from benchmarks.rivals import paper
     from benchmarks.rivals.convert import as_arrays

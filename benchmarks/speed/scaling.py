@@ -15,7 +15,7 @@ from jaxscp.problem.problem import OptimalControlProblem
 
 NODES, FACES = (15, 30, 60, 120, 240), (6, 12, 18, 24)
 STANDARD, TURNS = 30, 12  # nodes; number of solves of each size
-APART = 0.05  # m between parallel copies of a face
+FACE_SPACING = 0.05  # m between parallel copies of a face
 
 
 @dataclass(frozen=True)
@@ -87,6 +87,6 @@ def with_faces(scenario: LandingScenario, faces: int) -> LandingScenario:
     sheets = range(faces // offsets.shape[1])
     more = (
         jnp.concatenate([normals for _ in sheets], axis=1),
-        jnp.concatenate([offsets + APART * k for k in sheets], axis=1),
+        jnp.concatenate([offsets + FACE_SPACING * k for k in sheets], axis=1),
     )
     return eqx.tree_at(lambda s: (s.corridor.normals, s.corridor.offsets), scenario, more)

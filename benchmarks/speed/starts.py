@@ -24,7 +24,7 @@ PLANNER = "planner = jaxscp.Planner(nodes={nodes}, method={method})\n"
 LOAD = "planner = jaxscp.load({file!r})\n"
 EXPORT = SCENARIO + "planner.export({file!r}, scenario)\nprint('converged')\n"
 PLAN = SCENARIO + "print(jaxscp.status_names(planner(scenario).status), flush=True)\n"
-ANSWER = "converged"
+EXPECTED = "converged"
 KINDS = ("cold", "cached", "export")
 
 
@@ -47,8 +47,8 @@ def starts(method: str, nodes: int) -> dict[str, float]:
     planner = PLANNER.format(nodes=nodes, method=method)
     with tempfile.TemporaryDirectory() as folder:
         file = os.path.join(folder, "planner.jaxscp")
-        keeping = IMPORT + CACHE.format(folder=folder) + planner + PLAN
-        cold, cached = (seconds(keeping) for _ in range(2))
+        with_cache = IMPORT + CACHE.format(folder=folder) + planner + PLAN
+        cold, cached = (seconds(with_cache) for _ in range(2))
         seconds(IMPORT + planner + EXPORT.format(file=file))
         return {"cold": cold, "cached": cached, "export": seconds(IMPORT + LOAD.format(file=file) + PLAN)}
 
@@ -62,9 +62,9 @@ def seconds(code: str) -> float:
             [sys.executable, "-c", code], env=variables, stdout=subprocess.PIPE, stderr=said, text=True
         )
         with process:
-            answer = process.stdout.readline().strip() if process.stdout else ""
+            line = process.stdout.readline().strip() if process.stdout else ""
             took = time.perf_counter() - began
         said.seek(0)
-        if process.returncode != 0 or answer != ANSWER:
-            raise RuntimeError(f"no plan, but {answer!r}: {said.read()}")
+        if process.returncode != 0 or line != EXPECTED:
+            raise RuntimeError(f"no plan, but {line!r}: {said.read()}")
     return took

@@ -7,10 +7,9 @@ import jax
 import jax.numpy as jnp
 
 import jaxscp
-from jaxscp.aot.aot import without_obstacles
 from jaxscp.dynamics.rotations import from_yaw
 
-PRICES = (0.0, 5.0)  # time weights w_t of the benchmarks
+TIME_WEIGHTS = (0.0, 5.0)  # w_t of the benchmarks
 
 
 def random_instances(
@@ -50,9 +49,9 @@ def random_instances(
     return jax.vmap(one)(jax.random.split(key, count))
 
 
-def bare(scenario: jaxscp.LandingScenario, price: float) -> jaxscp.LandingScenario:
+def with_time_weight(scenario: jaxscp.LandingScenario, weight: float) -> jaxscp.LandingScenario:
     """The scenario with a time weight and without the point cloud, which the solver does not use.
 
     Without point clouds all scenarios have one shape, and compile once.
     """
-    return eqx.tree_at(lambda s: s.weights.time, without_obstacles(scenario), jnp.asarray(price))
+    return eqx.tree_at(lambda s: s.weights.time, scenario.solver_inputs(), jnp.asarray(weight))

@@ -30,7 +30,7 @@ COARSE = 1e-3  # relative: costs at the stops with coarse and with exact subprob
 GRIDS = 0.05  # relative: costs at the stops on 30 and on 90 nodes, neither optimal
 
 
-def settled(arrays):
+def with_common_settings(arrays):
     """The case with common settings, so that all cases share one compilation."""
     return replace(arrays, tolerance_virtual=1e-3, tolerance_trust=1e-2, max_iterations=20)
 
@@ -38,11 +38,11 @@ def settled(arrays):
 @pytest.fixture(scope="module")
 def both():
     """A function: name of a case to the runs of jaxscp and of the published stack, same accuracy."""
-    ours = jax.jit(replace(as_method(settled(three_box())), coarsest=0.0).run)
+    ours = jax.jit(replace(as_method(with_common_settings(three_box())), initial_forcing=0.0).run)
 
     @cache
     def solve(case):
-        arrays = settled(CASES[case]())
+        arrays = with_common_settings(CASES[case]())
         return ours(*as_problem(arrays)), paper.solve(arrays)
 
     return solve
@@ -86,7 +86,9 @@ def test_arrays_survive_the_way_there(both, case):
 
 @pytest.mark.parametrize("mission", [scenarios.platform_to_platform, scenarios.ascent_to_platform])
 def test_coarse_subproblems_lead_to_the_same_stop(mission):
-    coarse, exact = (Planner(nodes=30, method=method)(mission()) for method in (PTR(), PTR(coarsest=0.0)))
+    coarse, exact = (
+        Planner(nodes=30, method=method)(mission()) for method in (PTR(), PTR(initial_forcing=0.0))
+    )
     assert status_names(coarse.status) == status_names(exact.status) == "converged"
     assert int(coarse.iterations) <= int(exact.iterations) + 1
     steps = [int(s.history.conic_iterations.sum()) for s in (coarse, exact)]
@@ -96,9 +98,9 @@ def test_coarse_subproblems_lead_to_the_same_stop(mission):
 
 def test_no_iterations_end_by_a_coarse_subproblem():
     """At a tolerance that the reference meets, the step is zero; this must not count as convergence."""
-    problem, z = as_problem(settled(three_box()))
-    method = replace(as_method(settled(three_box())), coarsest=1e9)
-    assert method.accuracy(method.init(problem, z)) == 1e9
+    problem, z = as_problem(with_common_settings(three_box()))
+    method = replace(as_method(with_common_settings(three_box())), initial_forcing=1e9)
+    assert method.forcing_term(method.init(problem, z)) == 1e9
     state = jax.jit(method.run)(problem, z)
     assert state.history.conic_iterations[0] == 0
     assert int(state.iterations) > 1
@@ -111,11 +113,12 @@ def test_virtual_control_that_stays_ends_the_iterations():
     found = Planner(nodes=60, method=PTR(NormTrustRegion(20.0)))(scenarios.platform_to_platform())
     assert status_names(found.status) == "dynamics_unmet"
     count = int(found.iterations)
-    virtual, step = (np.asarray(v)[:count] for v in (found.history.virtual, found.history.step))
+    history = found.history
+    virtual_control, step_norm = (np.asarray(v)[:count] for v in (history.virtual_control, history.step_norm))
     settings = PTR()
-    assert virtual[-1] > settings.tolerance_virtual
-    assert step[-1] < settings.tolerance_step < step[-2]
-    np.testing.assert_allclose(virtual[-1], virtual[-2], rtol=1e-2)
+    assert virtual_control[-1] > settings.tolerance_virtual
+    assert step_norm[-1] < settings.tolerance_step < step_norm[-2]
+    np.testing.assert_allclose(virtual_control[-1], virtual_control[-2], rtol=1e-2)
 
 
 @pytest.mark.slow

@@ -7,10 +7,10 @@ from collections.abc import Callable, Sequence
 from multiprocessing.connection import Connection
 from typing import Any
 
-REST = 0.1  # s before a turn, so that threads of the previous process go to sleep
+PAUSE = 0.1  # s before a turn, so that threads of the previous process go to sleep
 
 
-class Apart:
+class SeparateProcess:
     """A function in its own process; a context manager.
 
     Args:
@@ -27,7 +27,7 @@ class Apart:
         self._process = context.Process(target=_serve, args=(other, make, args), daemon=True)
         self._process.start()
 
-    def __enter__(self) -> "Apart":
+    def __enter__(self) -> "SeparateProcess":
         return self
 
     def __exit__(self, *_: Any) -> None:
@@ -36,7 +36,7 @@ class Apart:
 
     def __call__(self) -> list[Any]:
         """Results of the calls of one turn."""
-        time.sleep(REST)
+        time.sleep(PAUSE)
         self._pipe.send(self._calls)
         found, error = self._pipe.recv()
         if error is not None:
@@ -58,7 +58,7 @@ def _serve(pipe: Connection, make: Callable[..., Callable[[], Any]], args: tuple
             pipe.send((None, traceback.format_exc()))
 
 
-def in_turns(functions: Sequence[Apart], repeats: int) -> list[list[Any]]:
+def in_turns(functions: Sequence[SeparateProcess], repeats: int) -> list[list[Any]]:
     """Results of each function over all turns, without the first turn, which may compile."""
     for function in functions:
         function()
