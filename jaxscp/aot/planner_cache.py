@@ -17,7 +17,7 @@ from jaxscp.aot import archive, cache_folder, export
 from jaxscp.aot.aot import CompiledPlanner, compiled, with_programs, without_obstacles
 from jaxscp.aot.load import load
 from jaxscp.aot.pytree_spec import Description, spec_of
-from jaxscp.backends.xla import inside, options
+from jaxscp.backends.xla import is_traced, options
 from jaxscp.landing.scenario import LandingScenario
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ def kept(planner: Planner, scenario: LandingScenario, *more: Any) -> CompiledPla
 
 
 def _plain(arrays: Any) -> bool:
-    if inside(arrays) or jax.config.jax_default_device or jax.config.jax_disable_jit:  # pyright: ignore[reportAttributeAccessIssue]
+    if is_traced(arrays) or jax.config.jax_default_device or jax.config.jax_disable_jit:  # pyright: ignore[reportAttributeAccessIssue]
         return False
     here = {jax.devices()[0]}
     return all(leaf.devices() == here for leaf in jax.tree.leaves(arrays) if isinstance(leaf, jax.Array))

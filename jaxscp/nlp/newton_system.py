@@ -89,9 +89,9 @@ def weighed(problem: OptimalControlProblem, jacobians: Jacobians, weigh: Scaling
     if not parts[False]:
         count, inputs = problem.nodes - 1, interval_inputs(problem, nodes.matrix[:, 0]).shape[1]
         blank = jnp.zeros((count, inputs, inputs), nodes.matrix.dtype)
-        return Weighed(blank, nodes.matrix, tuple(jnp.moveaxis(nodes.sides, 1, 0)))
+        return Weighed(blank, nodes.matrix, tuple(jnp.moveaxis(nodes.products, 1, 0)))
     intervals = gram(tuple(parts[False]))
-    pulls = zip(jnp.moveaxis(intervals.sides, 1, 0), jnp.moveaxis(nodes.sides, 1, 0), strict=True)
+    pulls = zip(jnp.moveaxis(intervals.products, 1, 0), jnp.moveaxis(nodes.products, 1, 0), strict=True)
     return Weighed(intervals.matrix, nodes.matrix, tuple(onto_nodes(problem, i) + n for i, n in pulls))
 
 

@@ -102,7 +102,7 @@ def corrected(
             # Dilation needs no pull: its limits are linear, so that the candidate keeps them.
             nodes=-by.hold * onto_nodes(problem, by.active.pull(slack)),
             flow=(z[1:, :n] - out.end) / by.scale[:n],
-            initial=jnp.zeros(by.factor.chain.initial.shape[0], z.dtype),
+            initial=jnp.zeros(by.factor.problem.initial.shape[0], z.dtype),
             final=-end_condition(problem, z[-1, :n]),
         )
         z += by.scale * riccati.solve(by.factor, right).nodes

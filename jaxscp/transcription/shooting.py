@@ -73,7 +73,7 @@ class Linearisation(eqx.Module):
 @eqx.filter_jit  # traced once for all calls of one program
 def evaluate(problem: OptimalControlProblem, z: Float[Array, "nodes variables"], grid: Grid) -> Outputs:
     """Outputs of every interval."""
-    found = dispatch.outcomes(intervals_of(problem, grid), interval_inputs(problem, z), given(problem, grid))
+    found = dispatch.evaluate(intervals_of(problem, grid), interval_inputs(problem, z), given(problem, grid))
     return outputs(problem, found)
 
 
@@ -82,7 +82,7 @@ def linearise(
     problem: OptimalControlProblem, z: Float[Array, "nodes variables"], grid: Grid
 ) -> Linearisation:
     """Outputs of every interval and their Jacobians."""
-    found = dispatch.linear(intervals_of(problem, grid), interval_inputs(problem, z), given(problem, grid))
+    found = dispatch.linearise(intervals_of(problem, grid), interval_inputs(problem, z), given(problem, grid))
     return linearisation(problem, z, *found)
 
 
@@ -101,7 +101,7 @@ def linearise_with_hessian(
     )
     asked = prices(problem, Outputs(y.flow, jnp.ones(problem.nodes - 1, z.dtype), held))
     intervals, w = intervals_of(problem, grid), interval_inputs(problem, z)
-    found, jacobian, curvature = dispatch.curved(intervals, w, given(problem, grid), asked)
+    found, jacobian, curvature = dispatch.linearise_with_hessian(intervals, w, given(problem, grid), asked)
     return linearisation(problem, z, found, jacobian), curvature
 
 

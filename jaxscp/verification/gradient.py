@@ -24,5 +24,5 @@ def reflown_gradient(
 def reflown(problem: OptimalControlProblem, z: Float[Array, "nodes variables"], grid: Grid) -> Outputs:
     """What ``intervals.evaluate`` says, by one step of the method for every stretch between two points."""
     ours = intervals_of(problem, grid)
-    theirs = Intervals(ours.rate, ours.states, eighth_order(), grid.points, 1, ours.watch)
-    return outputs(problem, in_jax.outcomes(theirs, interval_inputs(problem, z), given(problem, grid)))
+    theirs = Intervals(ours.rate, ours.states, eighth_order(), grid.points, 1, ours.path_outputs)
+    return outputs(problem, in_jax.evaluate(theirs, interval_inputs(problem, z), given(problem, grid)))

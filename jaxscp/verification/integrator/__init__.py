@@ -11,7 +11,7 @@ is compared with the dynamics.
 
 from jaxtyping import Array, Float
 
-from jaxscp.backends.libraries import choose
+from jaxscp.backends.libraries import dispatch
 from jaxscp.dynamics.base import Dynamics
 from jaxscp.problem.trajectory import Trajectory
 from jaxscp.verification.integrator import in_cuda, in_jax
@@ -39,4 +39,4 @@ def states(dynamics: Dynamics, trajectory: Trajectory, samples: int) -> Float[Ar
         return in_jax.states(dynamics, start, control, dilation, samples)
 
     by_kernel = in_cuda.flight(dynamics, start, control, samples)
-    return choose(None, by_diffrax, start, control, dilation, cuda=by_kernel)
+    return dispatch(None, by_diffrax, start, control, dilation, cuda=by_kernel)

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from jaxscp.backends import cuda, libraries
 from jaxscp.backends.codegen import functions, launch, tracing
-from jaxscp.backends.codegen.functions import Function
+from jaxscp.backends.codegen.functions import TapedFunction
 from jaxscp.dynamics.base import Dynamics
 from jaxscp.verification.integrator import cuda_source
 
@@ -32,13 +32,13 @@ def flight(
         slope = record(dynamics)
     except tracing.CannotTrace:
         return None
-    code = launch.image(cuda_source.kernel(slope, control.shape[0] - 1, samples), here, "the flight")
+    code = launch.cubin(cuda_source.kernel(slope, control.shape[0] - 1, samples), here, "the flight")
     return (
         None if code is None else functools.partial(states, dynamics, slope, code, cuda_source.LANES, samples)
     )
 
 
-def record(dynamics: Dynamics) -> Function:
+def record(dynamics: Dynamics) -> TapedFunction:
     """The slope of the state, as a function of the state and the controls.
 
     Raises:
@@ -50,7 +50,7 @@ def record(dynamics: Dynamics) -> Function:
 
 def states(
     dynamics: Dynamics,
-    slope: Function,
+    slope: TapedFunction,
     machine_code: bytes,
     lanes: int,
     samples: int,
@@ -67,7 +67,10 @@ def states(
     w = jnp.concatenate([start, control.ravel(), dilation])[None]
     shapes = (1, intervals, samples, n), (1, intervals, n)
     found, slopes = (
-        v[0] for v in launch.call(machine_code, w, launch.known_of(slope), shapes, lanes, cuda_source.THREADS)
+        v[0]
+        for v in launch.call(
+            machine_code, w, launch.hoisted_constants(slope), shapes, lanes, cuda_source.THREADS
+        )
     )
     expected = jax.vmap(dynamics)(found[:, 0], control[:-1]) * dilation[:-1, None] / intervals
     lacks, sizes = (jnp.max(jnp.abs(v), axis=1) for v in (slopes - expected, expected))
