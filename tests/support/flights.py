@@ -1,4 +1,4 @@
-"""Short flights that are nobody's plan: enough to test derivatives and identities on."""
+"""A short landing problem and random nodes, to test derivatives and identities on."""
 
 import dataclasses
 
@@ -14,7 +14,7 @@ NODES = 8
 
 
 def short_problem(everything=False):
-    """Case 1; with limits, zones and a moving deck too, if asked for."""
+    """Case 1 with 8 nodes; ``everything`` adds limits, zones and a moving deck."""
     scenario = scenarios.platform_to_platform()
     if everything:
         scenario = dataclasses.replace(
@@ -30,7 +30,7 @@ def short_problem(everything=False):
 
 
 def random_nodes(problem, seed):
-    """Nodes of a lively flight: metres a second, radians a second, and thrusts all over their range."""
+    """Random nodes: velocities of 3 m/s, body rates of 2 rad/s, thrusts over their whole range."""
     random = np.random.default_rng(seed)
     states = random.standard_normal((NODES, 13)) * ([1.0] * 3 + [3.0] * 3 + [0.2] * 4 + [2.0] * 3)
     states[:, 6:10] += [1.0, 0.0, 0.0, 0.0]
