@@ -22,7 +22,7 @@ LIBRARIES = {  # stem: sources compiled for each instruction set, sources compil
 X86 = {
     "v4": ("-march=x86-64-v4", "-mprefer-vector-width=512"),
     "v3": ("-march=x86-64-v3",),
-}  # AVX-512; AVX2 and FMA
+}  # v4: AVX-512; v3: AVX2 and FMA
 ANYWHERE = {"any": ()}
 FLAGS = ("-std=c++20", "-O3", "-fno-math-errno", "-fPIC", "-Wno-psabi")
 

@@ -1,1 +1,1 @@
-"""Measurements of the planner, and of the solvers it is compared with."""
+"""Measurements of the planner and of rival solvers."""

@@ -1,9 +1,9 @@
-"""Corridors from point clouds: are they safe, connected, large and quick to make?
+"""Corridors from point clouds: safety, connection, size and construction time.
 
-Run ``python -m benchmarks.corridors``; ``--json`` prints the same figures for machines, ``--maps`` sets
-how many random maps of the four kinds are flown through, ``--real`` names a folder of clouds and meshes to
-add, ``--lanes`` says how many of the corridors are planned through at once, and ``--batch`` also times so many
-maps at once on whatever device JAX finds (both meant for a GPU).
+Run ``python -m benchmarks.corridors``. ``--json`` prints the same figures as JSON. ``--maps`` sets the number of random
+maps of the four kinds. ``--real`` names a folder with further clouds and meshes. ``--lanes`` sets how many corridors
+are planned at once. ``--batch`` sets how many maps are timed at once on the default device of JAX. The last two are for
+a GPU.
 """
 
 import argparse
@@ -52,7 +52,7 @@ ROUNDING = 1e-9
 
 
 class PublishedShrinking(EllipsoidDecomposition):
-    """The ellipsoid decomposition as published: tangent planes moved by the radius, which can cut the leg."""
+    """The published ellipsoid decomposition: tangent planes moved by the radius, which can cut the leg."""
 
     def separate(
         self,
@@ -85,7 +85,7 @@ def random_maps(count: int) -> Iterator[synthetic_maps.Map]:
 
 
 def real_maps(folder: Path, pairs: int = 12) -> Iterator[synthetic_maps.Map]:
-    """Every cloud and mesh of a folder, with pairs of clear places at flying height, picked by seed."""
+    """Every cloud and mesh of a folder, with pairs of clear positions at flying height, drawn from a seed."""
     for path in sorted(folder.glob("*")):
         if path.suffix.lower() not in (".pcd", ".ply", ".xyz", ".npy", ".stl", ".obj"):
             continue
@@ -100,14 +100,14 @@ def real_maps(folder: Path, pairs: int = 12) -> Iterator[synthetic_maps.Map]:
 
 
 def points_inside(result: CorridorResult, place: synthetic_maps.Map) -> int:
-    """Points of the cloud as given that lie strictly inside a polytope."""
+    """Number of points of the given cloud strictly inside a polytope."""
     assert result.corridor is not None
     cells = zip(result.corridor.normals, result.corridor.offsets, strict=True)
     return sum(int(place.cloud.inside(Polytope(n, b), margin=-ROUNDING).sum()) for n, b in cells)
 
 
 def seeds_outside(result: CorridorResult) -> int:
-    """Polytopes that do not hold the leg they were made about."""
+    """Number of polytopes that do not contain their own leg."""
     assert result.corridor is not None
     normals, offsets = np.asarray(result.corridor.normals), np.asarray(result.corridor.offsets)
     gaps = offsets[:, None, :] - np.einsum("kfc,kvc->kvf", normals, result.seeds)
@@ -115,8 +115,10 @@ def seeds_outside(result: CorridorResult) -> int:
 
 
 def safety(places: list[synthetic_maps.Map], lanes: int) -> dict:
-    """Build a corridor in every map by the default method, and check it against the cloud as given; then plan through
-    it, ``lanes`` at once (none: no plans)."""
+    """Figures of corridors by the default method, one for each map, checked against the given cloud.
+
+    Also plans through the corridors, ``lanes`` at once (0: no plans).
+    """
     found = narrow = unresolved = no_route = crashed = inside = cut = polytopes = 0
     least, reasons = np.inf, []
     scenarios: list[LandingScenario] = []
@@ -131,7 +133,7 @@ def safety(places: list[synthetic_maps.Map], lanes: int) -> dict:
                 lower=place.lower,
                 upper=place.upper,
             )
-        except Exception as error:  # a crash is a result of this benchmark
+        except Exception as error:  # a crash counts as a result of this benchmark
             crashed += 1
             reasons.append(f"{place.name}: {type(error).__name__}: {error}")
             continue
@@ -173,7 +175,7 @@ def safety(places: list[synthetic_maps.Map], lanes: int) -> dict:
 
 
 def plan_statuses(scenarios: list[LandingScenario], lanes: int) -> dict[str, int]:
-    """How the default planner ends, over corridors padded to one shape; how many of each status."""
+    """Number of plans by status, default planner, corridors padded to one shape."""
     count = max(s.corridor.count for s in scenarios)
     faces = max(s.corridor.offsets.shape[1] for s in scenarios)
     padded = [
@@ -189,7 +191,7 @@ def plan_statuses(scenarios: list[LandingScenario], lanes: int) -> dict[str, int
 
 
 def sizes(places: list[synthetic_maps.Map]) -> dict:
-    """Volume and faces of each method on the same legs, beside the published shrinking."""
+    """Volume and number of faces by method, on the same legs, with the published method for comparison."""
     volumes: dict[str, list[float]] = {name: [] for name in ("published", *METHODS)}
     faces: dict[str, list[int]] = {name: [] for name in volumes}
     cut = 0
@@ -231,7 +233,7 @@ def sizes(places: list[synthetic_maps.Map]) -> dict:
 
 
 def twelve_legs(points: int = 50_000):
-    """A forest of a given number of points, and a route of twelve legs through it."""
+    """A forest with the given number of points, and a route of twelve legs through this forest."""
     place = synthetic_maps.forest(7, spacing=0.1)
     rng = np.random.default_rng(0)
     cloud = place.cloud.thinned(0.05)
@@ -248,7 +250,7 @@ def twelve_legs(points: int = 50_000):
 
 
 def milliseconds(repeats: int = 30) -> dict:
-    """Time from 50 000 points and twelve legs to twelve polytopes and their overlaps, warm, medians."""
+    """Median warm times, ms, from 50 000 points and twelve legs to twelve polytopes and their overlaps."""
     place, cloud, segments = twelve_legs()
     overlaps = jax.jit(consecutive_overlaps)
     report = {}
@@ -270,7 +272,7 @@ def milliseconds(repeats: int = 30) -> dict:
 
 
 def batched(count: int, repeats: int = 5) -> dict:
-    """Time for a chain of eight polytopes in each of many maps at once, on the default device."""
+    """Time, ms, for a chain of eight polytopes in each map of a batch, on the default device."""
     places = [synthetic_maps.pillars(seed) for seed in range(count)]
     most = max(place.cloud.count for place in places)
     points = np.zeros((count, most, 3))
@@ -301,7 +303,7 @@ def batched(count: int, repeats: int = 5) -> dict:
 
 
 def _eight_legs(place: synthetic_maps.Map) -> np.ndarray:
-    """The first eight legs of the route, its longest leg halved until there are as many."""
+    """The first eight legs of the route; the longest leg is halved until there are eight."""
     route = find_route(place.cloud, place.start, place.goal, RADIUS, lower=place.lower, upper=place.upper)
     points = list(np.stack([place.start, place.goal]) if isinstance(route, NoRoute) else route.points)
     while len(points) < 9:

@@ -1,16 +1,19 @@
-"""Gradients of plans: against central differences of the problem solved again, and what they cost.
+"""Gradients of plans: comparison with central differences, and their time and memory.
 
     python -m benchmarks.gradients [--json] [--instances 25] [--chunk 26] [--lanes 0] [--repeats 7] [--gpu]
 
-For both missions and random variations of them: every float leaf of the scenario is moved along a random direction of
-its own size, the problem is solved again at two points on either side, and the central differences, of fourth order, of
-cost, flight time and three random functions of the trajectory are compared with the implicit derivative. The problem is
-solved by the interior point at the plan's own mu, from where the derivative foretells the answer: else it may end in
-another of many optima. Some plans bend a thousand times more than others: of four stencils, that counts whose
-differences of second and fourth order agree best. An instance and leaf are left out where the set of active constraints
-(price above slack) differs between the points of a stencil, or the problem has no solution at one of them (a goal on
-the floor of its corridor, moved out of it). Then the time and memory of a gradient, relative to the plan alone; with
-``--lanes``, in a batch too.
+The instances are both missions and random variations of them. Each float leaf of the scenario is moved along a random
+direction of the leaf's own size. The problem is solved again at two points on either side. Central differences of
+fourth order are compared with the implicit derivative, for cost, flight time and three random functions of the
+trajectory. The interior point solves the problem at the plan's mu, from the solution that the derivative predicts. From
+another start it may converge to another of many optima.
+
+The curvature of some plans is a thousand times larger than of others. There are four stencils; the stencil counts
+whose differences of second and fourth order agree best. A pair of instance and leaf is left out in two cases. First,
+the set of active constraints (multiplier above slack) differs between the points of a stencil. Second, the problem has
+no solution at one of these points: a goal on the floor of its corridor, moved out of the corridor, for example.
+
+The last figures are time and memory of a gradient, relative to the plan alone; with ``--lanes``, also in a batch.
 """
 
 import argparse
@@ -42,16 +45,16 @@ from jaxscp.transcription.shooting import evaluate  # noqa: E402
 from tests.support.random_instances import bare, random_instances  # noqa: E402
 
 NODES = 30
-STEPS = (1e-5, 1e-6, 1e-7, 2e-8)  # of a leaf's size; a goal on a floor has a micrometre of room
+STEPS = (1e-5, 1e-6, 1e-7, 2e-8)  # relative to a leaf's size; a goal on a floor has a slack of a micrometre
 STENCIL = np.array([1.0, -1.0, 2.0, -2.0])  # steps
 FOURTH, SECOND = np.array([8.0, -8.0, -1.0, 1.0]) / 12.0, np.array([1.0, -1.0, 0.0, 0.0]) / 2.0  # orders
-# the problem solved again, as far as rounding lets it
+# solves the problem again, to the limit of rounding
 AGAIN = NLPInteriorPoint(first=MU, tolerance=1e-12, max_steps=10)
-SOLVED = 1e-8  # residual at which it counts as solved, as the planner's own
-# of the largest derivative of an output over all leaves: smaller ones are judged relative to that
+SOLVED = 1e-8  # largest residual of a solved problem, as in the planner
+# relative to the largest derivative of an output over all leaves: the scale of errors of smaller derivatives
 SMALLEST = 1e-3
 MISSIONS = {"platform": scenarios.platform_to_platform, "ascend": scenarios.ascent_to_platform}
-BATCH = 4096  # lanes that are planned together; more follow one another
+BATCH = 4096  # batch elements planned at once; larger batches are split
 METHOD = jaxscp.NewtonSCP()
 PLANNER = jaxscp.Planner(nodes=NODES, method=METHOD)
 
@@ -70,7 +73,7 @@ def leaves(scenario: LandingScenario) -> list[str]:
 
 
 def direction(key, scenario: LandingScenario, leaf: Any) -> LandingScenario:
-    """A random change of one leaf, of its own size; an attitude keeps its norm."""
+    """A random change of one leaf, of the leaf's size; an attitude keeps its norm."""
     flat, structure = jax.tree.flatten(scenario)
     names = leaves(scenario)
 
@@ -93,7 +96,7 @@ def outputs(problem, z):
 
 
 def implicit(scenario, solution, change):
-    """Derivatives of the outputs, and of the optimum itself, along a change of the scenario."""
+    """Derivatives of the outputs and of the optimum along a change of the scenario."""
     point = Point(solution.z, solution.multipliers)
 
     def of(scenario):
@@ -105,7 +108,7 @@ def implicit(scenario, solution, change):
 
 
 def again(scenario, solution, change, foretold, length):
-    """Outputs of the changed problem, solved again; the active set; and whether that ended well."""
+    """Outputs of the changed problem, solved again; the active set; whether the solver converged."""
     moved, z = (
         jax.tree.map(lambda a, b: a + length * b, *pair)
         for pair in ((scenario, change), (solution.z, foretold.z))
@@ -117,7 +120,7 @@ def again(scenario, solution, change, foretold, length):
 
 
 def one(scenario, solution, leaf, key):
-    """The derivative; for each stencil the difference, its error by its own account, and whether it is any good."""
+    """The derivative; for each stencil the difference, its estimated error, and flags: same active set, all solved."""
     change = direction(key, scenario, leaf)
     derivative, foretold = implicit(scenario, solution, change)
 
@@ -131,7 +134,7 @@ def one(scenario, solution, leaf, key):
 
 
 def compare(mission: str, count: int, chunk: int, echo: Any) -> dict[str, Any]:
-    """Derivatives against differences, for every leaf of every instance."""
+    """Derivatives compared with differences, for every leaf of every instance."""
     batch = instances(mission, count)
     solutions = jax.vmap(PLANNER)(batch)
     names = leaves(batch)
@@ -150,7 +153,7 @@ def compare(mission: str, count: int, chunk: int, echo: Any) -> dict[str, Any]:
     differentiable = np.asarray(solutions.differentiable)
     usable = stays & solved & differentiable[instance, None]
     kept = usable.any(axis=1)
-    # of every output, the largest derivative of any leaf: below a thousandth of that, errors are relative to it
+    # largest derivative of each output over all leaves; below a thousandth of it, errors are relative to it
     largest = np.max(np.abs(derivative[kept]), axis=0)
     doubt = np.where(usable, np.linalg.norm(doubts / largest, axis=2), np.inf)
     slope = np.take_along_axis(slopes, np.argmin(doubt, axis=1)[:, None, None], axis=1)[:, 0]
@@ -183,7 +186,7 @@ def compare(mission: str, count: int, chunk: int, echo: Any) -> dict[str, Any]:
 
 
 def translation(echo: Any) -> float:
-    """What is left of the gradients when the whole scene moves: zero, but for rounding."""
+    """Gradient along a translation of the whole scene: zero except for rounding."""
     worst = 0.0
     for mission in MISSIONS.values():
         floats, rest = eqx.partition(bare(mission(), 1.0), eqx.is_inexact_array)
@@ -195,7 +198,7 @@ def translation(echo: Any) -> float:
 
 
 def cost_of_gradients(lanes: int, repeats: int, echo: Any) -> dict[str, Any]:
-    """Time and memory of plans with the gradient of their flight time, over those of the plans, less one."""
+    """Relative increase of time and memory of plans if the gradient of the flight time is added."""
     base = bare(scenarios.platform_to_platform(), 1.0)
     if lanes:
         base = jax.tree.map(lambda v: v[1:], instances("platform", lanes))
@@ -207,13 +210,13 @@ def cost_of_gradients(lanes: int, repeats: int, echo: Any) -> dict[str, Any]:
         return jnp.sum(found.final_time), found
 
     functions = {"plan": plan, "with its gradient": jax.value_and_grad(plan, has_aux=True)}
-    with ThreadPoolExecutor() as pool:  # compilers run side by side
+    with ThreadPoolExecutor() as pool:  # compile both at once
         programs = pool.map(lambda function: jax.jit(function).lower(floats).compile(), functions.values())
     figures = {}
     for name, compiled in zip(functions, programs, strict=True):
         memory: Any = compiled.memory_analysis()
         call = functools.partial(compiled, floats)
-        # a batch takes minutes, and its first run hardly more than others
+        # a batch takes minutes, and its first run hardly longer than later runs
         seconds = elapsed(call) if lanes else median_seconds(call, repeats)
         figures[name] = (seconds, memory.temp_size_in_bytes + memory.output_size_in_bytes)
         echo(f"{lanes or 1} at once, {name}: {figures[name][0]:.3f} s, {figures[name][1] / 2**20:.1f} MiB")

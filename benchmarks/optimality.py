@@ -1,12 +1,12 @@
-"""How close to the optimum, how safe, in how many subproblems: ours against CasADi and IPOPT, side by side.
+"""Cost, violations and number of subproblems: jaxscp compared with CasADi and IPOPT.
 
-The suite: both missions, an L-shaped and the three-box corridor, a moving deck, a keep-out ball and random variations
-of the missions, each with w_t = 0 and w_t = 5. IPOPT solves the identical transcription (same nodes, points between the
-nodes and margins) from four starts; ours starts from the standard guess alone. Then comes the paper's method, on the
-first of those cases.
+The suite: both missions, an L-shaped and the three-box corridor, a moving deck, a keep-out ball, and random variations
+of the missions. Each has w_t = 0 and w_t = 5. IPOPT solves the identical transcription (same nodes, points between the
+nodes, and margins) from four starts. jaxscp starts from the standard guess alone. The paper's method also solves the
+first cases.
 
-IPOPT takes most of the time and does not depend on our solver: ``--reference FILE`` keeps what it found, and reads it
-again where the file exists and was made for these very problems and starts.
+IPOPT takes most of the time and does not depend on jaxscp. ``--reference FILE`` caches IPOPT's results. They are read
+again if the file has results for the same problems and starts.
 
     python -m benchmarks.optimality [--json] [--instances 40] [--starts 4] [--workers 2] [--reference FILE]
 """
@@ -40,9 +40,9 @@ from tests.support.random_instances import PRICES, bare, random_instances  # noq
 
 NODES = 30
 PERCENT = {"share_within_0.1_percent": 1e-3, "share_within_1_percent": 1e-2}
-BALL, BALL_RADIUS = (5.2, 0.4, 2.6), 0.6  # m: across the way of both optima without it
+BALL, BALL_RADIUS = (5.2, 0.4, 2.6), 0.6  # m: the ball lies on the path of both optima without the ball
 DECK_VELOCITY = (0.3, -0.1, 0.1)
-BOTH_METHODS = 8  # cases, of the suite's first, that the paper's method can state
+BOTH_METHODS = 8  # number of first cases; the paper's method can state these
 NO_EXTRAS = Extras()
 DISTANCES = ("corridor", "landing cone", "keep-out")
 
@@ -84,7 +84,7 @@ def _through(corridor: Corridor, start, goal) -> LandingScenario:
 
 
 def suite(instances: int) -> list[Case]:
-    """Every case, at every price of time."""
+    """Every case, at every time weight."""
     missions = [scenarios.platform_to_platform, scenarios.ascent_to_platform]
     platform, ascend = (mission() for mission in missions)
     ball = jaxscp.ellipsoids([BALL], BALL_RADIUS)
@@ -114,22 +114,22 @@ def suite(instances: int) -> list[Case]:
 
 @dataclasses.dataclass(frozen=True)
 class Ours:
-    """What our planner made of a case."""
+    """Result of jaxscp's planner for a case."""
 
     status: str
     cost: float
     iterations: int
     seconds: float
     violation: float
-    """Worst of the corridor, cone and keep-out, densely between the nodes, in m."""
+    """Worst violation of corridor, cone and keep-out zone, densely between the nodes, m."""
     limits: float
-    """Worst of all other limits, relative to what is allowed."""
+    """Worst violation of all other limits, relative to the allowed violation."""
     optimality: float | None
-    """Residual of the optimality conditions, as the certificate has it."""
+    """Residual of the optimality conditions, from the certificate."""
 
 
 def plan(planner: jaxscp.Planner, scenario: LandingScenario) -> Ours:
-    """One plan, timed; compile first."""
+    """Figures of one plan, timed; the planner must be compiled before."""
     began = time.perf_counter()
     solution = jax.block_until_ready(planner(scenario))
     seconds = time.perf_counter() - began
@@ -148,17 +148,17 @@ def plan(planner: jaxscp.Planner, scenario: LandingScenario) -> Ours:
 
 
 def reference(arrays: LandingArrays, extras: Extras, starts: int) -> list[Start]:
-    """IPOPT's starts, for a worker process."""
+    """IPOPT's results, one for each start; runs in a worker process."""
     return Optimum(arrays, extras).solve(starts)
 
 
 def arrays_of(scenario: LandingScenario) -> LandingArrays:
-    """The rivals' form; what it cannot hold goes by ``Extras``."""
+    """The scenario as the rivals' arrays, without the features in ``Extras``."""
     return as_arrays(dataclasses.replace(scenario, keep_out=None, deck_velocity=None), NODES)
 
 
 def references(cases: list[Case], starts: int, workers: int, file: Path | None) -> list[list[Start]]:
-    """IPOPT's starts for every case, from the file if it holds them."""
+    """IPOPT's results for every case and start, from the file if they are there."""
     problems = [arrays_of(case.scenario) for case in cases]
     keys = [_fingerprint(p, c.extras, starts) for p, c in zip(problems, cases, strict=True)]
     kept = json.loads(file.read_text()) if file and file.exists() else {}
@@ -173,7 +173,7 @@ def references(cases: list[Case], starts: int, workers: int, file: Path | None) 
 
 
 def _fingerprint(problem: LandingArrays, extras: Extras, starts: int) -> str:
-    """Of the problem that IPOPT is given, not of its first guess, in digits that any processor agrees on."""
+    """Hash of IPOPT's problem without the first guess, rounded so that all processors agree."""
     guess = ("states", "controls", "dilation")
     fields = [np.ravel(np.asarray(v, float)) for name, v in vars(problem).items() if name not in guess]
     numbers = [f"{x + 0.0:.9f}" for x in np.round(np.concatenate(fields), 9)]
@@ -181,14 +181,14 @@ def _fingerprint(problem: LandingArrays, extras: Extras, starts: int) -> str:
 
 
 def compile_for(planner: jaxscp.Planner, cases: list[Case]) -> None:
-    """Plan one case of every shape, so that no time measured afterwards holds a compilation."""
+    """Plan one case of every shape, so that later times contain no compilation."""
     shapes = {str(jax.tree.map(jnp.shape, case.scenario)): case.scenario for case in cases}
     for scenario in shapes.values():
         plan(planner, scenario)
 
 
 def compare(instances: int, starts: int, workers: int, file: Path | None, echo: Any) -> dict[str, Any]:
-    """Have IPOPT solve the suite, plan it, and print both; then the paper's method on its first cases."""
+    """Figures of the suite by IPOPT and by jaxscp, and of its first cases by the paper's method."""
     cases, planner = suite(instances), jaxscp.Planner(nodes=NODES)
     found = references(cases, starts, workers, file)
     compile_for(planner, cases)
@@ -225,7 +225,7 @@ def compare(instances: int, starts: int, workers: int, file: Path | None, echo: 
 
 
 def before_and_after(cases: list[Case], plans: list[Ours], echo: Any) -> list[dict[str, Any]]:
-    """Where the paper's method stops from the same guess, and what it violates between its nodes."""
+    """Costs and violations between the nodes of the paper's method and of the default, same guess."""
     published = jaxscp.Planner(nodes=NODES, method=jaxscp.PTR())
     compile_for(published, cases)
     echo(f"{'':24} {'paper':>8} {'ours':>8} {'paper mm':>9} {'ours mm':>8}")
@@ -247,7 +247,7 @@ def before_and_after(cases: list[Case], plans: list[Ours], echo: Any) -> list[di
 
 
 def main() -> None:
-    """Compare."""
+    """Run the comparison and print the figures."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--instances", type=int, default=40, help="random ones in the suite")

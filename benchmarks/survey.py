@@ -1,4 +1,4 @@
-"""Random instances, a tenth of them infeasible by construction, planned in batches and judged by the certificate.
+"""Random instances, a tenth of them infeasible by construction, planned in batches and checked by the certificate.
 
 python -m benchmarks.survey [--json] [--count 1000] [--lanes 50]
 """
@@ -21,12 +21,12 @@ from jaxscp import LandingScenario, scenarios, status_names  # noqa: E402
 from tests.support.random_instances import PRICES, bare, random_instances  # noqa: E402
 
 NODES = 30
-TOO_SHORT = 0.6  # s: at full thrust, and falling freely, no instance gets as far as its goal
+TOO_SHORT = 0.6  # s: neither full thrust nor free fall reaches any goal in this time
 
 
 def survey(count: int, lanes: int, echo: Any) -> dict[str, Any]:
-    """Random instances, every tenth infeasible, planned in batches; what the planner says of them and what is true."""
-    # Without jit around it, its two compiled parts remain two, and the missions share the large one.
+    """Statuses of random instances, every tenth infeasible, planned in batches, compared with the truth."""
+    # Without an outer jit the planner remains two programs, and the missions share the large one.
     plan_all = jax.vmap(jaxscp.Planner(nodes=NODES))
     seen: dict[str, dict[str, int]] = {"feasible": {}, "infeasible": {}}
     refuted, not_finite, iterations, worst, residuals = 0, 0, [], 0.0, []
@@ -64,7 +64,7 @@ def survey(count: int, lanes: int, echo: Any) -> dict[str, Any]:
 
 
 def _drawn(mission: Any, first: int, lanes: int) -> tuple[LandingScenario, np.ndarray]:
-    """A batch of variations of a mission at both prices of time, and which of them no vehicle can fly."""
+    """A batch of variations of a mission at both time weights, and flags: no vehicle can fly this one."""
     batch = bare(random_instances(jax.random.key(1000 + first), lanes, mission), 0.0)
     index = np.arange(lanes)
     impossible = index % 10 == 9
@@ -74,7 +74,7 @@ def _drawn(mission: Any, first: int, lanes: int) -> tuple[LandingScenario, np.nd
 
 
 def main() -> None:
-    """Plan and count."""
+    """Plan the instances and print the counts."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--count", type=int, default=1000, help="instances")

@@ -11,18 +11,18 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 install_import_hook("jaxscp", "beartype.beartype")
 
 MOST_MAPPINGS = 20_000
-"""Of a process. Compiled programs hold thousands each, and where Linux allows no more (65 530 as a rule) the compiler
-dies."""
+"""Largest number of memory mappings of a process. Each compiled program holds thousands. Beyond Linux's limit (usually
+65 530) the compiler ends the process."""
 
 
-from jaxscp.backends import libraries  # noqa: E402, with its annotations checked
+from jaxscp.backends import libraries  # noqa: E402, after the import hook
 
 
 @pytest.fixture(params=libraries.LEVELS)
 def at_level(request, monkeypatch):
-    """One after another of what is compiled: has a module call its library of that level.
+    """A function that makes a module call its library of one instruction level; one test for each level.
 
-    Takes the module, whose LIBRARY it is, and the names of its targets there.
+    Arguments of the function: a module with an attribute LIBRARY, and the names of its targets.
     """
 
     def use(module, *names):
@@ -41,7 +41,7 @@ def at_level(request, monkeypatch):
 
 
 def pytest_runtest_teardown(item, nextitem):
-    """Drop compiled programs before there are too many, between modules and after slow tests."""
+    """Drop compiled programs before a process has too many, between modules and after slow tests."""
     mappings = pathlib.Path("/proc/self/maps")
     over = nextitem is None or nextitem.path != item.path or item.get_closest_marker("slow")
     if over and mappings.exists() and mappings.read_bytes().count(b"\n") > MOST_MAPPINGS:

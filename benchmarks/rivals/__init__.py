@@ -1,1 +1,1 @@
-"""Other ways to solve the landing problem, written without the planner so that they can judge it."""
+"""Other solvers of the landing problem, independent of the planner, for comparison."""

@@ -1,6 +1,6 @@
-"""One landing problem for both sides: jaxscp's from the rivals' arrays, and the arrays from a scenario.
+"""Conversion of a landing problem: rivals' arrays to jaxscp's problem, and scenario to rivals' arrays.
 
-Both directions keep every number, so that the two stacks may be compared digit by digit.
+Both directions keep every number, so that the two stacks can be compared digit by digit.
 """
 
 import jax
@@ -139,10 +139,10 @@ def _constraints(arrays: LandingArrays) -> tuple[Constraint, ...]:
 
 
 def _meaningful_cones(arrays: LandingArrays) -> Flags:
-    """The arrays' flags, less the last node where the goal already puts it on the apex.
+    """Cone flags (N,) of the arrays; False at the last node if the goal fixes this node at the apex.
 
-    There the cone says nothing that the boundary does not, so the optimum is the same; but stated beside the
-    boundary it leaves the feasible set without interior, and a multiplier that may grow without bound.
+    There the boundary condition implies the cone, so the optimum is the same. With both constraints the feasible
+    set has no interior, and a multiplier may grow without bound.
     """
     active = arrays.cone_active.copy()
     active[-1] &= not np.array_equal(arrays.goal[:3], arrays.cone_apex)

@@ -10,7 +10,7 @@ from benchmarks.rivals.problem import STATES, Floats, LandingArrays
 
 @dataclass(frozen=True, eq=False)
 class Discretisation:
-    """x[i+1] = A x[i] + B- v[i] + B+ v[i+1] + c, and the effort of each interval likewise; v = (u, s)."""
+    """x[i+1] = A x[i] + B- v[i] + B+ v[i+1] + c, and the effort of each interval; v = (u, s)."""
 
     state: Floats
     """A, (N - 1, 13, 13)."""
@@ -21,13 +21,13 @@ class Discretisation:
     offset: Floats
     """c = F - A x - B- v[i] - B+ v[i+1], (N - 1, 13)."""
     flown: Floats
-    """F, (N - 1, 13): the reference flown from each node to the next."""
+    """F, (N - 1, 13): the reference integrated from each node to the next."""
     effort: Floats
     """Integral of |u| dt over each interval of the reference, (N - 1,)."""
     effort_now: Floats
-    """Its derivative in v[i], (N - 1, m + 1)."""
+    """Derivative of the effort in v[i], (N - 1, m + 1)."""
     effort_next: Floats
-    """Its derivative in v[i+1], (N - 1, m + 1)."""
+    """Derivative of the effort in v[i+1], (N - 1, m + 1)."""
 
 
 def discretise(problem: LandingArrays, states: Floats, extended: Floats) -> Discretisation:
@@ -56,16 +56,17 @@ def discretise(problem: LandingArrays, states: Floats, extended: Floats) -> Disc
 
 
 def _plain(array: np.ndarray) -> Floats:
-    """A writable copy in C order: Numba would compile once more for every other kind."""
+    """A writable copy in C order: Numba would compile again for every other layout."""
     return np.array(array, dtype=np.float64, order="C")
 
 
 @njit(cache=True)
 def _flow(states, extended, substeps, acceleration_map, torque_map, inertia, inverse_inertia, gravity):
-    """Flown states (N - 1, 13) and their sensitivities (N - 1, 13, 13 + 2 (m + 1)).
+    """End states (N - 1, 13) of the intervals and their sensitivities (N - 1, 13, 13 + 2 (m + 1)).
 
-    The sensitivity S to (x[i], v[i], v[i+1]) obeys S' = f_x S + [0, (1 - lambda) f_v, lambda f_v] with
-    S(0) = [I, 0, 0]: no inverse of the transition matrix is ever needed.
+    The sensitivity S to (x[i], v[i], v[i+1]) has the equation:
+    S' = f_x S + [0, (1 - lambda) f_v, lambda f_v], S(0) = [I, 0, 0].
+    No inverse of the transition matrix is needed.
     """
     intervals, width = len(states) - 1, extended.shape[1]
     flown, sensitivity = states[1:].copy(), np.zeros((intervals, 13, 13 + 2 * width))

@@ -1,13 +1,13 @@
-"""The reference optimum: CasADi and IPOPT on the same transcription, without any linearisation of ours.
+"""The reference optimum: CasADi and IPOPT on the same transcription, without jaxscp's linearisation.
 
 Multiple shooting on N nodes, Runge-Kutta in each interval, first-order hold on thrusts and dilation. Corridor
-and cone hold at the nodes and, with ``inner_points``, at that many equally spaced points inside each interval
-too. The half-spaces of node i then belong to interval i as a whole: its inner points obey them, and so does
-its far end, so that a node where the polytope changes lies in both. Its inner points obey the cone where node
-i does.
+and cone hold at the nodes. With ``inner_points`` they also hold at that many equally spaced points inside each
+interval. Then the half-spaces of node i belong to interval i as a whole: its inner points and its end obey them.
+A node where the polytope changes therefore lies in both polytopes. The inner points of interval i obey the cone if
+node i does.
 
-The terminal attitude is held by three numbers, the vector part of the error quaternion. The flow keeps |q|,
-so a fourth would be implied by the others, and multipliers would not be unique.
+The terminal attitude is fixed by three numbers, the vector part of the error quaternion. The flow keeps |q|, so
+the other three would imply a fourth, and multipliers would not be unique.
 
 Run ``python -m benchmarks.rivals.ipopt`` for a table of the three-box problem; ``--compiled`` compiles first.
 """
@@ -57,7 +57,7 @@ def state_rate(problem: LandingArrays, state: ca.SX, thrusts: ca.SX) -> ca.SX:
 
 
 def runge_kutta_step(problem: LandingArrays, substeps: int) -> ca.Function:
-    """(state and effort, extended controls at the step's two ends) to state and effort at its end."""
+    """Function: (state and effort, extended controls at both ends of the step) to state and effort at the end."""
     begin, now, following = ca.SX.sym("y", STATES + 1), *(ca.SX.sym(n, problem.rotors + 1) for n in "vw")
     h, middle = problem.interval / substeps, (now + following) / 2
 
@@ -73,12 +73,12 @@ def runge_kutta_step(problem: LandingArrays, substeps: int) -> ca.Function:
 
 
 def interval_flow(problem: LandingArrays, inner_points: int) -> ca.Function:
-    """(x[i], v[i], v[i+1]) to the end state, the inner positions (3, inner_points) and the effort.
+    """Function: (x[i], v[i], v[i+1]) to the end state, the inner positions (3, inner_points) and the effort.
 
-    Steps stay calls of one small function: unrolled, they could not be compiled in reasonable time.
+    Steps are calls of one small function: an unrolled version cannot be compiled in reasonable time.
     """
     state, now, following = ca.MX.sym("x", STATES), *(ca.MX.sym(n, problem.rotors + 1) for n in "vw")
-    each = -(-problem.substeps // (inner_points + 1))  # inner points fall on whole steps
+    each = -(-problem.substeps // (inner_points + 1))  # inner points lie at ends of steps
     substeps = each * (inner_points + 1)
     step = runge_kutta_step(problem, substeps)
     held = [(1 - j / substeps) * now + j / substeps * following for j in range(substeps + 1)]
@@ -129,7 +129,7 @@ class _Constraints:
 def transcribe(
     problem: LandingArrays, inner_points: int = 0, max_iterations: int = 3000, compiled: bool = False
 ) -> Transcription:
-    """State the nonlinear program and have CasADi differentiate it; arguments as in ``solve``."""
+    """The nonlinear program with its derivatives by CasADi; arguments as in ``solve``."""
     began = time.perf_counter()
     nodes, intervals = problem.nodes, problem.nodes - 1
     stacked = ca.MX.sym("Z", STATES + problem.rotors + 1, nodes)
@@ -168,7 +168,7 @@ def transcribe(
 
 
 def _compiled_solver(program: dict[str, ca.MX], options: dict[str, Any]) -> ca.Function:
-    """The solver with its derivatives in C. CasADi writes them where it stands; the loaded code stays."""
+    """The solver with compiled derivatives. CasADi writes C files into the working directory; the loaded code stays."""
     compiling = {
         "jit": True,
         "jit_cleanup": False,
@@ -188,10 +188,10 @@ def attitude_error(attitude: ca.MX, goal: Floats) -> ca.MX:
 def hold_nodes(
     constraints: _Constraints, problem: LandingArrays, positions: ca.MX, whole_intervals: bool
 ) -> None:
-    """Hold the nodes (3, N) in corridor and cone; both boundary positions are fixed, so not those.
+    """Add the corridor and the cone at the nodes (3, N), except the first and the last, which are fixed.
 
-    With ``whole_intervals``, node i + 1 lies in the polytope of node i too: in those faces that it has not
-    already, since a constraint stated twice has no unique multiplier.
+    With ``whole_intervals``, node i + 1 also lies in the polytope of node i. Faces that both polytopes share are
+    added once: a repeated constraint has no unique multiplier.
     """
     between = positions[:, 1:-1]
     hold_corridor(constraints, between, problem.normals[1:-1], problem.offsets[1:-1])
@@ -204,7 +204,7 @@ def hold_nodes(
 
 
 def hold_corridor(constraints: _Constraints, positions: ca.MX, normals: Floats, offsets: Floats) -> None:
-    """Hold positions (3, n) in polytopes (n, F, 3) and (n, F); faces with a zero normal do not count."""
+    """Add polytopes (n, F, 3) and (n, F) at positions (3, n); faces with a zero normal do not count."""
     for face in range(offsets.shape[1]):
         used = np.flatnonzero(np.any(normals[:, face] != 0.0, axis=1))
         if used.size:
@@ -213,11 +213,11 @@ def hold_corridor(constraints: _Constraints, positions: ca.MX, normals: Floats, 
 
 
 def hold_cone(constraints: _Constraints, problem: LandingArrays, positions: ca.MX, active: Flags) -> None:
-    """Hold those positions (3, n) that are active (n,) in the landing cone."""
+    """Add the landing cone at the active (n,) positions (3, n)."""
     coned = np.flatnonzero(active).tolist()
     if coned:
-        # rounded at its tip, smooth there and wider by CONE_ROUNDING at most; the squared form's gradient
-        # dies out towards the tip, which costs IPOPT many times the iterations
+        # The tip is rounded: smooth, and wider by CONE_ROUNDING at most. The gradient of the squared form vanishes
+        # at the tip; IPOPT then needs many times the iterations.
         from_apex = positions[:, coned] - ca.DM(problem.cone_apex)
         sideways = ca.sqrt(ca.sum1(from_apex[:2, :] ** 2) + CONE_ROUNDING**2) - CONE_ROUNDING
         constraints.nonnegative(problem.cone_cotangent * from_apex[2, :] - sideways)
@@ -241,7 +241,7 @@ def variable_bounds(problem: LandingArrays) -> tuple[Floats, Floats]:
 
 @dataclass(frozen=True)
 class IpoptStart:
-    """What IPOPT made of one starting point."""
+    """Result of IPOPT for one starting point."""
 
     cost: float
     final_time: float
@@ -253,7 +253,7 @@ class IpoptStart:
 
 @dataclass(frozen=True, eq=False)
 class IpoptRun:
-    """The best answer over all starts, and a line about each."""
+    """The best solution over all starts, and the result of each start."""
 
     cost: float
     final_time: float
@@ -262,10 +262,10 @@ class IpoptRun:
     controls: Floats
     dilation: Floats
     converged: bool
-    """Whether any start was solved; if none was, the answer is the last start's."""
+    """Whether any start was solved; if none was, the solution is from the last start."""
     starts: list[IpoptStart]
     build_seconds: float
-    """Transcription and its derivatives, once for all starts."""
+    """Seconds for the transcription and its derivatives, once for all starts."""
 
 
 def solve(
@@ -279,13 +279,13 @@ def solve(
     """Minimise w_u phi + w_t t from the guess and from random perturbations of it.
 
     Args:
-        problem: what to solve; its penalty weights play no part.
-        inner_points: points inside each interval that the corridor and the cone hold too.
-        starts: number of starting points; the guess itself is the first.
-        seed: of the perturbations.
-        max_iterations: of IPOPT, for each start.
-        compiled: whether the derivatives go through the system's C compiler. That takes a while, once, and
-            makes each iteration several times faster.
+        problem: the problem; its penalty weights are not used.
+        inner_points: number of points inside each interval at which corridor and cone hold.
+        starts: number of starting points; the first is the guess.
+        seed: seed of the perturbations.
+        max_iterations: limit of IPOPT's iterations for each start.
+        compiled: whether the system's C compiler compiles the derivatives. The compilation is slow, but each
+            iteration is several times faster.
     """
     transcription = transcribe(problem, inner_points, max_iterations, compiled)
     random = np.random.default_rng(seed)
@@ -312,11 +312,11 @@ def solve(
 
 
 def perturbed(guess: Floats, random: np.random.Generator) -> Floats:
-    """The guess with noise: metres per second and newtons by halves, attitude and metres by less."""
+    """The guess with noise, about 0.5 m/s and 0.5 N; less for attitude and position."""
     noise = np.concatenate([np.full(3, 0.2), np.full(3, 0.5), np.full(4, 0.1), np.full(3, 0.3)])
     widths = np.concatenate([noise, np.full(guess.shape[1] - STATES - 1, 0.5), [0.0]])
     moved = guess + widths * random.standard_normal(guess.shape)
-    moved[:, -1] *= np.exp(random.uniform(np.log(0.3), np.log(1.2)))  # one factor: another flight time
+    moved[:, -1] *= np.exp(random.uniform(np.log(0.3), np.log(1.2)))  # one factor: changes the flight time
     return moved
 
 

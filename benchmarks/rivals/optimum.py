@@ -1,9 +1,10 @@
-"""The optimum of what the default method solves, by CasADi and IPOPT: same nodes, same points between the nodes, same
-margins; ten fourth-order steps an interval where ours takes five of sixth order. Nothing here is ours but the
-statement of the problem.
+"""The optimum of the default method's problem, by CasADi and IPOPT.
 
-Corridor, landing cone and keep-out ball hold at equally spaced points of every interval less a margin for what may
-happen between them; the deck may move.
+Nodes, points between the nodes, and margins are the same. Integration takes ten fourth-order steps an interval; jaxscp
+takes five of sixth order. Only the statement of the problem comes from jaxscp.
+
+Corridor, landing cone and keep-out ball hold at equally spaced points of every interval, with a margin for the values
+between these points. The deck may move.
 """
 
 import time
@@ -17,27 +18,27 @@ import numpy as np
 from benchmarks.rivals.ipopt import attitude_error, perturbed, runge_kutta_step
 from benchmarks.rivals.problem import STATES, Floats, LandingArrays, extended_controls
 
-SUBSTEPS, POINTS = 10, 5  # Runge-Kutta steps, and stretches between the points, of an interval
+SUBSTEPS, POINTS = 10, 5  # Runge-Kutta steps, and subintervals between the points, an interval
 KINK = 1e-4  # m; smooths max(0, d) in the margin
-RESERVE = 1.1  # of the margin
+RESERVE = 1.1  # factor on the margin
 CONE_ROUNDING = 1e-6  # m; smooths the cone's tip
 
 
 @dataclass(frozen=True)
 class Extras:
-    """What a scenario may have beyond ``LandingArrays``."""
+    """Features of a scenario that ``LandingArrays`` lacks."""
 
     deck_velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """m/s."""
+    """Velocity of the deck, m/s."""
     ball: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Centre of the keep-out ball, m."""
     ball_radius: float = -100.0
-    """m; negative for none."""
+    """Radius of the keep-out ball, m; negative: no ball."""
 
 
 @dataclass(frozen=True)
 class Start:
-    """What IPOPT made of one starting point."""
+    """Result of IPOPT for one starting point."""
 
     cost: float
     iterations: int
@@ -46,7 +47,7 @@ class Start:
 
 
 def _flow(problem: LandingArrays) -> ca.Function:
-    """(x[i], v[i], v[i+1]) to the end state, positions at the points (3, POINTS + 1) and the effort."""
+    """Function: (x[i], v[i], v[i+1]) to the end state, positions (3, POINTS + 1) and the effort."""
     step = runge_kutta_step(problem, SUBSTEPS)
     x, first, last = ca.MX.sym("x", STATES), *(ca.MX.sym(n, problem.rotors + 1) for n in "vw")
     held = [(1 - j / SUBSTEPS) * first + j / SUBSTEPS * last for j in range(SUBSTEPS + 1)]
@@ -58,12 +59,12 @@ def _flow(problem: LandingArrays) -> ca.Function:
 
 
 class Optimum:
-    """One instance, stated.
+    """The nonlinear program of one instance.
 
     Args:
-        problem: what to solve; its penalty weights play no part.
-        extras: what arrays do not hold.
-        max_iterations: of IPOPT, for each start.
+        problem: the problem; its penalty weights are not used.
+        extras: features that the arrays lack.
+        max_iterations: limit of IPOPT's iterations for each start.
     """
 
     def __init__(
@@ -129,13 +130,13 @@ class Optimum:
         for j, offset in enumerate(offsets):
             bend = _bend(offsets, j)
             margin = (ca.sqrt(ca.sum1(bend**2) + KINK**2) - KINK) * np.sqrt(2.0) / 8.0
-            if j == POINTS:  # the flight's last point is the apex
+            if j == POINTS:  # the last point of the trajectory is the apex
                 offset, margin = offset[:, :-1], margin[:, :-1]
             sideways = ca.sqrt(ca.sum1(offset[1:, :] ** 2) + CONE_ROUNDING**2) - CONE_ROUNDING
             yield offset[0, :] - margin - sideways
 
     def solve(self, starts: int = 4, seed: int = 0) -> list[Start]:
-        """Minimise from the guess and from random perturbations of it; the first start is the guess itself."""
+        """Results from the guess, the first start, and from random perturbations of the guess."""
         problem, random = self.problem, np.random.default_rng(seed)
         guess = np.column_stack([problem.states, extended_controls(problem)])
         lower, upper = np.full(guess.shape, -np.inf), np.full(guess.shape, np.inf)
@@ -172,7 +173,7 @@ def best(lines: list[Start]) -> float:
 
 
 def _bend(values: list[Any], j: int) -> Any:
-    """Second difference over three points with the reserve; carried on in a straight line to the end points."""
+    """Second difference over three points times the reserve; extrapolated linearly at the end points."""
     last = len(values) - 1
     if j == 0:
         return 2 * _bend(values, 1) - _bend(values, 2)
@@ -182,7 +183,7 @@ def _bend(values: list[Any], j: int) -> Any:
 
 
 def _with_margin(values: list[Any]) -> Iterator[Any]:
-    """Each point's values less the margin; the flight's two ends are left out, being given."""
+    """Values at each point less the margin, without the two fixed ends of the trajectory."""
     for j, value in enumerate(values):
         bend = _bend(values, j)
         kept = value - (bend + ca.sqrt(bend**2 + KINK**2) - KINK) / 16.0

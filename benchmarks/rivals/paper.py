@@ -1,8 +1,8 @@
 """The published stack: CVXPY with disciplined parameters, CLARABEL, and a Numba-compiled discretisation.
 
-Algorithm 1 with subproblem (19): virtual control on the physical states, both it and the step from the
-reference penalised by their unsquared Euclidean norms. The step is that of the extended state, so it counts
-elapsed effort phi and time t too; ``elapsed_in_trust=False`` leaves those two out.
+Algorithm 1 with subproblem (19). Virtual control acts on the physical states. The unsquared Euclidean norms of
+virtual control and of the step from the reference are penalised. The step includes elapsed effort phi and time t, the
+extended state. ``elapsed_in_trust=False`` leaves these two out.
 
 Run ``python -m benchmarks.rivals.paper`` for a table of the three-box problem.
 """
@@ -56,10 +56,10 @@ class Iterate:
     extended: Floats
     """(N, m + 1): thrusts and dilation."""
     elapsed: Floats
-    """(N, 2): effort phi and time t so far."""
+    """(N, 2): elapsed effort phi and time t."""
 
     def stacked(self) -> Floats:
-        """The rows z_k, (N, 13 + m + 1 + 2); the elapsed pair last, so that it can be cut off."""
+        """The rows z_k, (N, 13 + m + 1 + 2); phi and t come last, so that they can be cut off."""
         return np.column_stack([self.states, self.extended, self.elapsed])
 
 
@@ -67,7 +67,7 @@ class Iterate:
 def _subproblem(
     nodes: int, rotors: int, faces: int, cone_nodes: tuple[int, ...], elapsed_in_trust: bool
 ) -> Subproblem:
-    """State subproblem (19) once for a shape; every number in it is a parameter."""
+    """Subproblem (19) for a shape; every number is a parameter."""
     states = cp.Variable((nodes, STATES), name="states")
     extended = cp.Variable((nodes, rotors + 1), name="extended")
     elapsed = cp.Variable((nodes, 2), name="elapsed")
@@ -132,7 +132,7 @@ def path_constraints(
 
 
 def set_path(problem: LandingArrays, parameters: dict[str, cp.Parameter]) -> None:
-    """Fill in the parameters of ``path_constraints``."""
+    """Set the parameters of ``path_constraints``."""
     for axis in range(3):
         parameters[f"normals_{axis}"].value = problem.normals[:, :, axis]
     parameters["offsets"].value = problem.offsets
@@ -144,7 +144,7 @@ def set_path(problem: LandingArrays, parameters: dict[str, cp.Parameter]) -> Non
 
 
 def _set_problem(subproblem: Subproblem, problem: LandingArrays) -> None:
-    """Fill in what stays the same during one run of Algorithm 1."""
+    """Set the parameters that are constant during one run of Algorithm 1."""
     parameters = subproblem.parameters
     set_path(problem, parameters)
     parameters["start"].value = problem.start
@@ -157,7 +157,7 @@ def _set_problem(subproblem: Subproblem, problem: LandingArrays) -> None:
 
 
 def _set_reference(subproblem: Subproblem, reference: Iterate, model: Discretisation) -> None:
-    """Fill in what each iteration of Algorithm 1 changes."""
+    """Set the parameters that each iteration of Algorithm 1 changes."""
     matrices = np.concatenate([model.state, model.control_now, model.control_next], axis=2)
     for parameter, matrix in zip(subproblem.dynamics, matrices, strict=True):
         parameter.value = matrix
@@ -171,7 +171,7 @@ def _set_reference(subproblem: Subproblem, reference: Iterate, model: Discretisa
 
 
 def _solve_compiled(problem: cp.Problem) -> tuple[float, float]:
-    """Solve with CLARABEL; seconds inside CVXPY and inside CLARABEL. Raises where it has no solution."""
+    """Solve with CLARABEL; seconds inside CVXPY and inside CLARABEL. Raises if there is no solution."""
     began = time.perf_counter()
     data, chain, inverse = problem.get_problem_data(cp.CLARABEL, solver_opts={})
     handed_over = time.perf_counter()
@@ -179,7 +179,7 @@ def _solve_compiled(problem: cp.Problem) -> tuple[float, float]:
     raw = chain.solve_via_data(problem, data)
     solved = time.perf_counter()
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # an inaccurate answer is recorded as such, not announced
+        warnings.simplefilter("ignore")  # the flag ``accurate`` records an inaccurate solution
         problem.unpack_results(raw, chain, inverse)
     if problem.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE):
         raise RuntimeError(f"CLARABEL reports {problem.status}")
@@ -197,7 +197,7 @@ def _value(variable: cp.Variable) -> Floats:
 
 @dataclass(frozen=True)
 class PaperIteration:
-    """What one pass of Algorithm 1 did; costs are those of the linearised subproblem."""
+    """Figures of one iteration of Algorithm 1; costs are from the linearised subproblem."""
 
     objective: float
     """Cost and both penalties."""
@@ -211,11 +211,11 @@ class PaperIteration:
     """Largest |z_k - zref_k|."""
     discretise_seconds: float
     setup_seconds: float
-    """In CVXPY: parameter values, the program's data, reading the answer back."""
+    """Seconds in CVXPY: parameter values, the program's data, reading the solution."""
     solver_seconds: float
-    """In CLARABEL."""
+    """Seconds in CLARABEL."""
     accurate: bool
-    """Whether CLARABEL met its own tolerances, not only the reduced ones."""
+    """Whether CLARABEL met its full tolerances, not only the reduced ones."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,7 +224,7 @@ class PaperRun:
 
     iterations: list[PaperIteration]
     compile_seconds: float
-    """Preparing the first subproblem, which compiles Numba and CVXPY where the shape is new."""
+    """Seconds to prepare the first subproblem; compiles Numba and CVXPY if the shape is new."""
     states: Floats
     controls: Floats
     dilation: Floats
@@ -234,7 +234,7 @@ class PaperRun:
 
     @property
     def seconds(self) -> float:
-        """Time in the loop, compilation left out."""
+        """Seconds in the loop, without compilation."""
         return sum(r.discretise_seconds + r.setup_seconds + r.solver_seconds for r in self.iterations)
 
 
@@ -242,7 +242,7 @@ def solve(problem: LandingArrays, elapsed_in_trust: bool = True) -> PaperRun:
     """Run Algorithm 1 from the guess in the problem.
 
     Args:
-        problem: what to solve.
+        problem: the problem.
         elapsed_in_trust: whether z_k holds phi and t beside the state, the thrusts and the dilation.
     """
     subproblem, compile_seconds = _prepare(problem, elapsed_in_trust)
@@ -267,7 +267,7 @@ def solve(problem: LandingArrays, elapsed_in_trust: bool = True) -> PaperRun:
 
 
 def _prepare(problem: LandingArrays, elapsed_in_trust: bool) -> tuple[Subproblem, float]:
-    """The subproblem of this shape, filled in for this problem, and the seconds spent on compiling."""
+    """The subproblem of this shape with the parameters of this problem, and the seconds of compilation."""
     began = time.perf_counter()
     extended = extended_controls(problem)
     model = discretise(problem, problem.states, extended)  # the first call compiles
@@ -284,7 +284,7 @@ def _prepare(problem: LandingArrays, elapsed_in_trust: bool) -> tuple[Subproblem
 def _iterate(
     problem: LandingArrays, subproblem: Subproblem, reference: Iterate
 ) -> tuple[Iterate, PaperIteration]:
-    """One pass of Algorithm 1: discretise about the reference and solve subproblem (19)."""
+    """One iteration of Algorithm 1: discretise about the reference and solve subproblem (19)."""
     began = time.perf_counter()
     model = discretise(problem, reference.states, reference.extended)
     discretised = time.perf_counter()
@@ -327,18 +327,18 @@ class DoubleIntegratorGuess:
     accelerations: Floats
     """(N, 3), net of gravity."""
     solve_seconds: float
-    """In CLARABEL."""
+    """Seconds in CLARABEL."""
     setup_seconds: float
-    """In CVXPY, compilation left out."""
+    """Seconds in CVXPY, without compilation."""
     compile_seconds: float
-    """Near zero once a shape has been solved."""
+    """Seconds of compilation; near zero after the first solve of a shape."""
 
 
 @lru_cache(maxsize=8)
 def _guess_program(
     nodes: int, faces: int, cone_nodes: tuple[int, ...]
 ) -> tuple[cp.Problem, tuple[cp.Variable, cp.Variable, cp.Variable], dict[str, cp.Parameter]]:
-    """State program (26) once for a shape; p'' = a with a held to first order, integrated exactly."""
+    """Program (26) for a shape; p'' = a with first-order hold on a, integrated exactly."""
     p, v, a = (cp.Variable((nodes, 3), name=name) for name in "pva")
     parameters: dict[str, cp.Parameter] = {}
 
@@ -371,7 +371,7 @@ def double_integrator_guess(problem: LandingArrays, final_time: float) -> Double
         parameters[f"position_{k}"].value = state[0:3]
         parameters[f"velocity_{k}"].value = state[3:6]
     began = time.perf_counter()
-    program.get_problem_data(cp.CLARABEL)  # compiles where this shape is new
+    program.get_problem_data(cp.CLARABEL)  # compiles if this shape is new
     compile_seconds = stated + time.perf_counter() - began
     setup_seconds, solve_seconds = _solve_compiled(program)
     p, v, a = (_value(variable) for variable in variables)

@@ -1,4 +1,4 @@
-"""One landing problem as plain arrays, the three-box example, and a simulation to judge answers by.
+"""One landing problem as plain arrays, the three-box example, and a simulation to check solutions.
 
 Everything here is NumPy in float64. State x (13) = [p, v, q, omega]: position and velocity in the world, unit
 quaternion (w, x, y, z) from body to world, body rate. Control u (m): rotor thrusts. Dilation s = dt/dtau.
@@ -18,7 +18,7 @@ POSITION, VELOCITY, ATTITUDE, RATE = slice(0, 3), slice(3, 6), slice(6, 10), sli
 
 @dataclass(frozen=True, eq=False)
 class LandingArrays:
-    """Minimise w_u * integral |u| dt + w_t * t_f on N nodes uniform in tau; u and s held to first order."""
+    """Minimise w_u * integral |u| dt + w_t * t_f on N nodes uniform in tau; first-order hold on u and s."""
 
     mass: float
     """Kilograms."""
@@ -163,8 +163,8 @@ def along_polyline(corners: Floats, count: int) -> Floats:
 def roomiest_box(positions: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:
     """Half-spaces (N, 6, 3) and (N, 6) of the box with most clearance at each position.
 
-    The later box wins a tie, and clearance is compared to the nanometre so that rounding has no say in one:
-    node 8 of the three boxes is as deep in the first as in the second.
+    Of equal boxes the later one is taken. Clearance is compared to the nanometre, so that rounding does not decide:
+    node 8 of the three boxes has the same clearance in the first and in the second.
     """
     faces = np.concatenate([np.eye(3), -np.eye(3)])
     offsets = np.concatenate([upper, -lower], axis=1)
@@ -173,7 +173,7 @@ def roomiest_box(positions: Floats, lower: Floats, upper: Floats) -> tuple[Float
     return np.tile(faces, (len(positions), 1, 1)), offsets[chosen]
 
 
-# a plain simulation, to judge answers by
+# a plain simulation, to check solutions
 
 
 def state_rate(problem: LandingArrays, state: Floats, thrusts: Floats) -> Floats:
@@ -219,7 +219,7 @@ def fly_interval(
 def fly(
     problem: LandingArrays, states: Floats, controls: Floats, dilation: Floats, substeps: int = 20
 ) -> Floats:
-    """States (N - 1, substeps + 1, 13) across every interval, each flown from its own first node."""
+    """States (N - 1, substeps + 1, 13) across every interval, each integrated from its own first node."""
     extended = np.column_stack([controls, dilation])
     return np.array(
         [
@@ -230,7 +230,7 @@ def fly(
 
 
 def worst_defect(problem: LandingArrays, states: Floats, flown: Floats) -> float:
-    """Largest gap at a node between the flight that ends there and the state given there."""
+    """Largest defect: |integrated state - given state| at a node."""
     return float(np.abs(flown[:, -1] - states[1:]).max())
 
 

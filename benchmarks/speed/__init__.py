@@ -1,1 +1,1 @@
-"""How fast: against rivals, piece by piece, by size, from a cold start and in batches."""
+"""Benchmarks of speed: rivals, parts of a solve, sizes, cold starts and batches."""

@@ -1,11 +1,11 @@
-"""One benchmark of speed: where the time goes, against rivals, by size, from a cold start, and in batches.
+"""Benchmarks of speed: parts of a solve, rivals, sizes, cold starts and batches.
 
     python -m benchmarks.speed [--json] [--check] [--only PART ...] [--gpu] [--nodes 30] [--repeats 7]
                                [--lanes 4096] [--total 65536]
 
-Parts: ``profile``, ``rivals`` (extra ``benchmarks``), ``scaling``, ``starts``, ``levels``, ``alone``, ``batches``. All
-but the last two by default; ``--gpu`` is these two. ``--check`` compares the ratios with benchmarks/baseline.json and
-ends with 1 where one has become worse by more than a factor of 1.5.
+Parts: ``profile``, ``rivals`` (extra ``benchmarks``), ``scaling``, ``starts``, ``levels``, ``alone``, ``batches``. The
+default is all but the last two; ``--gpu`` runs these two. ``--check`` compares the ratios with
+benchmarks/baseline.json. The exit code is 1 if a ratio is worse by more than a factor of 1.5.
 """
 
 import argparse
@@ -24,7 +24,7 @@ FOR_ACCELERATORS = ("alone", "batches")
 
 
 def measure(part: str, wanted: argparse.Namespace, echo: Callable[[str], None]) -> dict[str, Any]:
-    """Run one part. Only its own modules are imported: not every machine has the rivals."""
+    """Figures of one part. Imports only the modules of this part: not every machine has the rivals."""
     match part:
         case "profile":
             from benchmarks.speed import profile
@@ -57,7 +57,7 @@ def measure(part: str, wanted: argparse.Namespace, echo: Callable[[str], None]) 
 
 
 def main() -> int:
-    """Measure, print, and compare if asked to."""
+    """Measure, print, and with ``--check`` compare; returns the exit code."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--json", action="store_true", help="print one JSON object, the tables on stderr")
     parser.add_argument("--check", action="store_true", help="compare ratios with benchmarks/baseline.json")

@@ -1,5 +1,4 @@
-"""Functions that are timed in processes of their own, in turns: what one's libraries leave running, threads that wait
-for more work, say, holds up no other."""
+"""Functions timed in turns, each in its own process: idle threads of one library must not slow down another."""
 
 import multiprocessing
 import time
@@ -8,17 +7,17 @@ from collections.abc import Callable, Sequence
 from multiprocessing.connection import Connection
 from typing import Any
 
-REST = 0.1  # s before a turn: for the threads of who ran before to fall asleep
+REST = 0.1  # s before a turn, so that threads of the previous process go to sleep
 
 
 class Apart:
-    """A function in a process of its own; a context.
+    """A function in its own process; a context manager.
 
     Args:
-        make: (*args) -> the function, which takes nothing and returns what a pipe can carry; of a module.
-        args: of ``make``.
-        calls: of the function, one after another, in a turn: the first after that of another finds the caches full of
-            what is not its own, and is not warm.
+        make: (*args) -> function, at the top level of a module. The function takes no argument and returns a value
+            that can be pickled.
+        args: arguments of ``make``.
+        calls: number of successive calls in a turn. The first call is not warm: another process has used the caches.
     """
 
     def __init__(self, make: Callable[..., Callable[[], Any]], *args: Any, calls: int = 1) -> None:
@@ -36,7 +35,7 @@ class Apart:
         self._process.join()
 
     def __call__(self) -> list[Any]:
-        """A turn: what the calls returned."""
+        """Results of the calls of one turn."""
         time.sleep(REST)
         self._pipe.send(self._calls)
         found, error = self._pipe.recv()
@@ -60,7 +59,7 @@ def _serve(pipe: Connection, make: Callable[..., Callable[[], Any]], args: tuple
 
 
 def in_turns(functions: Sequence[Apart], repeats: int) -> list[list[Any]]:
-    """What each returned in its turns; the first turn, which may compile, is left out."""
+    """Results of each function over all turns, without the first turn, which may compile."""
     for function in functions:
         function()
     rounds = [[function() for function in functions] for _ in range(repeats)]

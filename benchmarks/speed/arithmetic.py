@@ -1,7 +1,7 @@
-"""Floating-point operations of a function, counted in what it is traced to.
+"""Number of floating-point operations of a function, counted in its jaxpr.
 
-The compiler's own ``cost_analysis`` counts a loop's body once, and calls into LAPACK not at all. Here loops count as
-often as they run, and factorisations by their textbook formulas. A loop whose end depends on data counts once.
+The compiler's ``cost_analysis`` counts a loop's body once and does not count calls of LAPACK. Here a loop's body counts
+once for each iteration, and a factorisation by its textbook formula. A loop whose end depends on data counts once.
 """
 
 import math
@@ -11,7 +11,7 @@ from typing import Any
 import jax
 from jax.extend.core import ClosedJaxpr, Jaxpr
 
-# per element of the result; what moves numbers about, or compares or selects them, is none
+# Operations count per element of the result. Moving, comparing or selecting numbers is no operation.
 MOVES = """
 broadcast_in_dim reshape transpose concatenate pad slice dynamic_slice dynamic_update_slice gather squeeze rev iota
 copy convert_element_type stop_gradient split select_n eq ne lt le gt ge and or not is_finite argmax argmin
@@ -20,12 +20,12 @@ FREE = frozenset(MOVES.split())
 
 
 def flops(function: Callable, *args: Any) -> float:
-    """Operations of one call."""
+    """Number of operations of one call."""
     return _of(jax.make_jaxpr(function)(*args).jaxpr)
 
 
 def flops_of_loop(function: Callable, *args: Any) -> float:
-    """Operations of one round of the largest loop whose end depends on data."""
+    """Number of operations of one iteration of the largest loop whose end depends on data."""
     return max(map(_of, _while_bodies(jax.make_jaxpr(function)(*args).jaxpr)))
 
 

@@ -1,7 +1,7 @@
 """Whole plans at once: distinct random corridor instances in the paper's mode, by batch size.
 
-Starts, goals, headings, masses, thrust limits and every wall of the corridor differ from instance to instance. Needs
-nothing but jaxscp, so that it runs on a machine without the rivals; every line is printed as soon as it is known.
+Starts, goals, headings, masses, thrust limits and every face of the corridor differ from instance to instance. This
+part needs only jaxscp and runs on a machine without the rivals. Each line is printed at once.
 """
 
 import time
@@ -18,12 +18,12 @@ from jaxscp import PTR, LandingScenario, Planner, Solution, Status
 from jaxscp.landing.scenarios import platform_to_platform
 from tests.support.random_instances import bare, random_instances
 
-REPEATS = 3  # of a batch, of which the least time counts
-WALLS = 0.15  # m by which walls of the corridor may stand back
+REPEATS = 3  # of a batch; the least time counts
+WALLS = 0.15  # m: largest outward shift of a face of the corridor
 
 
 def instances(key: Any, count: int) -> LandingScenario:
-    """A batch of distinct feasible flights."""
+    """A batch of distinct feasible scenarios."""
     keys = jax.random.split(key)
     batch = random_instances(keys[0], count, lambda: bare(platform_to_platform(), 0.0))
     offsets = batch.corridor.offsets
@@ -32,12 +32,12 @@ def instances(key: Any, count: int) -> LandingScenario:
 
 
 def sizes_up_to(lanes: int) -> list[int]:
-    """1, 16, 256, 4096 and so on below the batch size, and that itself."""
+    """The batch sizes 1, 16, 256, 4096 and 16384 below the given one, and the given one."""
     return [size for size in (1, 16, 256, 4096, 16384) if size < lanes] + [lanes]
 
 
 def run(echo: Callable[[str], None], nodes: int, lanes: int, total: int) -> dict[str, Any]:
-    """The batch asked for first, then as many instances in one call by chunks, then smaller batches."""
+    """Figures of the given batch size, of ``total`` instances by chunks, then of smaller batches."""
     device = jax.devices()[0]
     echo(f"{device.device_kind}: the paper's mode, {nodes} nodes, float64; every instance another corridor")
     planner = Planner(nodes=nodes, method=PTR())
@@ -77,7 +77,7 @@ def at_once(planner: Planner, size: int, echo: Callable[[str], None]) -> tuple[d
 
 
 def host_seconds(planner: Planner, echo: Callable[[str], None]) -> float:
-    """One plan on the host's CPU, as a user of a machine with a GPU would ask for one."""
+    """Seconds of one plan on the host's CPU, for a machine with a GPU."""
     with jax.default_device(jax.devices("cpu")[0]):
         one = jax.tree.map(lambda v: v[0], instances(jax.random.key(1), 1))
         plan = jax.jit(planner)
@@ -88,7 +88,7 @@ def host_seconds(planner: Planner, echo: Callable[[str], None]) -> float:
 
 
 def by_chunks(compiled: Any, lanes: int, total: int, echo: Callable[[str], None]) -> dict[str, Any]:
-    """Many instances in one call, a chunk of the compiled size after another; the drawing is not timed."""
+    """Figures of many instances, by chunks of the compiled size; drawing the instances is not timed."""
     chunks = [instances(jax.random.key(100 + i), lanes) for i in range(-(-total // lanes))]
     jax.block_until_ready(chunks)
     found: list[Solution] = []
@@ -100,7 +100,7 @@ def by_chunks(compiled: Any, lanes: int, total: int, echo: Callable[[str], None]
 
 
 def sweep(compiled: Any, chunks: list[LandingScenario]) -> Iterator[Solution]:
-    """Plan chunk after chunk; results come to the host while the next is planned."""
+    """Solutions of the chunks, in order; each is copied to the host while the next is planned."""
     last = None
     for chunk in chunks:
         found = compiled(chunk)
@@ -111,7 +111,7 @@ def sweep(compiled: Any, chunks: list[LandingScenario]) -> Iterator[Solution]:
 
 
 def figures(solutions: Solution, seconds: float) -> dict[str, Any]:
-    """What a batch of plans says of speed."""
+    """Figures of speed of a batch of plans."""
     iterations, steps = np.asarray(solutions.iterations), np.asarray(solutions.history.conic_iterations)
     return {
         "instances": int(iterations.size),

@@ -1,4 +1,4 @@
-"""Ratios of a run against those that are kept: never times, which are another machine's."""
+"""Comparison of a run's ratios with stored ratios. Times are not compared: they differ between machines."""
 
 import json
 from collections.abc import Callable
@@ -12,11 +12,11 @@ HIGHER_IS_BETTER = {
     "ipopt_ratio": True,
     "scaling_240_over_30": False,
 }
-TOLERANCE = 1.5  # factor: both sides of a ratio are measured on machines that others use too
+TOLERANCE = 1.5  # factor: other programs may use the machine during a measurement
 
 
 def regressions(found: dict[str, Any], echo: Callable[[str], None]) -> list[str]:
-    """Names of the ratios that are worse by more than the tolerance; what was not measured is left out."""
+    """Names of the ratios that are worse by more than the tolerance; skips ratios without a measurement."""
     kept = json.loads(BASELINE.read_text())["ratios"]
     worse = []
     for name, higher in HIGHER_IS_BETTER.items():

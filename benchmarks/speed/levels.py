@@ -1,5 +1,6 @@
-"""Whole plans by what was compiled for each level of the instruction set that runs here, and by XLA alone, in turns:
-what to expect of a machine with less.
+"""Time of whole plans by instruction set: libraries compiled for each level that runs here, and XLA alone.
+
+This shows the speed to expect on a machine with fewer instructions. The levels take turns.
 """
 
 from collections.abc import Callable
@@ -16,11 +17,11 @@ from jaxscp.conic import native
 
 METHODS = {"paper": PTR, "default": NewtonSCP}
 INSTRUCTIONS = {"v4": "AVX-512", "v3": "AVX2", "any": "baseline", "none": "XLA alone"}
-CALLS = 5  # of a turn
+CALLS = 5  # calls in a turn
 
 
 def run(echo: Callable[[str], None], nodes: int, repeats: int) -> dict[str, Any]:
-    """Both modes on Case 1."""
+    """Times of both modes on Case 1."""
     levels = [
         level for level in libraries.LEVELS if libraries.library(native.LIBRARY.stem, level) is not None
     ]
@@ -33,7 +34,7 @@ def run(echo: Callable[[str], None], nodes: int, repeats: int) -> dict[str, Any]
 
 
 def milliseconds(mode: str, levels: list[str], nodes: int, repeats: int) -> dict[str, float]:
-    """Median of warm calls by level."""
+    """Median of warm calls by level, ms."""
     with ExitStack() as processes:
         apart = [Apart(planned, level, mode, nodes, calls=CALLS) for level in levels]
         seconds = in_turns([processes.enter_context(each) for each in apart], repeats)
@@ -41,7 +42,7 @@ def milliseconds(mode: str, levels: list[str], nodes: int, repeats: int) -> dict
 
 
 def planned(level: str, mode: str, nodes: int) -> Callable[[], float]:
-    """In a process of its own, which knows no other level: seconds of a plan."""
+    """A function: seconds of a plan. For a separate process, in which only this level exists."""
     libraries.LEVELS = (level,)
     planner, scenario = Planner(nodes=nodes, method=METHODS[mode]()), scenarios.platform_to_platform()
     return lambda: elapsed(lambda: planner(scenario))

@@ -1,7 +1,8 @@
-"""Where the time of a solve goes: every piece alone, how often it runs, and its arithmetic beside the machine's.
+"""Profile of a solve: time of each part, number of calls, and operations relative to the machine's peak.
 
-Each piece is timed inside a compiled loop on the data of the first subproblem, and counted as often as the solve runs
-it. What a solve takes beyond its pieces is in the last row: the loops themselves, tests of convergence, choices.
+Each part is timed inside a compiled loop on the data of the first subproblem. Its time is multiplied by its number of
+calls in the solve. The last row is the time of the whole solve less the sum of the parts: loops, tests of convergence,
+choices.
 """
 
 import dataclasses
@@ -47,17 +48,17 @@ class Piece:
 
     name: str
     times: float
-    """How often a solve runs it."""
+    """Number of calls in a solve."""
     seconds: float
-    """Of one run."""
+    """Time of one call, s."""
     flops: float
-    """Of one run; NaN where it was not counted."""
+    """Operations of one call; NaN if not counted."""
     inside: bool = False
-    """Whether it is part of the piece above that is not."""
+    """Whether this is a part of the last entry with ``inside=False``."""
 
 
 def profile(planner: Planner, scenario: LandingScenario, machine: Ceiling, echo: Echo) -> dict[str, Any]:
-    """Time a planner's pieces on a scenario and print them."""
+    """Time a planner's parts on a scenario and print the times."""
     solution = planner(scenario)
     whole = least_seconds(lambda: planner(scenario))
     echo(
@@ -97,19 +98,19 @@ def _row(p: Piece, whole: float, machine: Ceiling) -> str:
 
 
 class Pieces:
-    """Times pieces as they are asked for, keeps them, and passes on what they return."""
+    """Times parts of a solve and stores the times; each call returns the part's result."""
 
     def __init__(self, whole: float, machine: Ceiling, echo: Echo) -> None:
         self.found: list[Piece] = []
         self._whole, self._machine, self._echo = whole, machine, echo
 
     def add(self, piece: Piece) -> None:
-        """Keep and print."""
+        """Store and print."""
         self.found.append(piece)
         self._echo(_row(piece, self._whole, self._machine))
 
     def time(self, name: str, times: float, function: Callable, *args: Any, inside=False, count=True) -> Any:
-        """Time a piece on these arguments; returns what it makes of them."""
+        """Time a part on these arguments; returns its result."""
         loop = Loop(function, *args)
         arithmetic = flops(function, *args) if count else np.nan
         self.add(Piece(name, times, loop.seconds(*args), arithmetic, inside))
@@ -117,7 +118,7 @@ class Pieces:
 
     @property
     def rest(self) -> float:
-        """Seconds of the whole that no piece accounts for."""
+        """Seconds of the whole solve less the sum of its parts."""
         return self._whole - sum(p.times * p.seconds for p in self.found if not p.inside)
 
 
@@ -145,7 +146,7 @@ def _paper_pieces(pieces: Pieces, method: PTR, problem: Any, z: Any, solution: S
 
 
 def _conic_pieces(pieces: Pieces, conic: Any, program: Any, count: int, steps: int) -> None:
-    """Equilibration and starting point, and Newton steps with what they consist of."""
+    """Equilibration and starting point; Newton steps and their parts."""
     start, whole = Loop(replace(conic, max_iterations=0), program), Loop(conic, program)
     started, taken = start.seconds(program), int(whole.result(program).iterations)
     step = (whole.seconds(program) - started) / taken
@@ -154,7 +155,7 @@ def _conic_pieces(pieces: Pieces, conic: Any, program: Any, count: int, steps: i
         Piece("conic: Newton step", steps, step, flops_of_loop(replace(conic, compiled=False), program))
     )
     if conic.compiled and native.serves(program):
-        return  # its parts are those of the loop as JAX
+        return  # the parts below belong to the loop in JAX
 
     scaled_program, _ = pieces.time(
         "equilibrate", count, lambda p: equilibrate(p, conic.equilibration), program, inside=True
@@ -182,7 +183,7 @@ def _conic_pieces(pieces: Pieces, conic: Any, program: Any, count: int, steps: i
 
 def _default_pieces(pieces: Pieces, method: NewtonSCP, problem: Any, z: Any, solution: Solution) -> None:
     count, grid = int(solution.iterations), method.grid
-    y = solution.multipliers  # with those of the guess, which are zero, curvature would be easy to clip
+    y = solution.multipliers  # the guess has zero multipliers: its curvature is too easy to clip
     linear, curvature = pieces.time(
         "expand to second order",
         count + 1,
@@ -213,7 +214,7 @@ def _default_pieces(pieces: Pieces, method: NewtonSCP, problem: Any, z: Any, sol
 
 
 def _condensed_times(method: NewtonSCP, problem: Any, z: Any, count: int) -> int:
-    """Subproblems whose curvature is condensed: those near the end."""
+    """Number of subproblems with curvature convexified along the horizon: the last ones."""
     state, step, times = jax.jit(method.init)(problem, z), jax.jit(method.step), 0
     for _ in range(count):
         times += bool(state.exact)
@@ -222,7 +223,7 @@ def _condensed_times(method: NewtonSCP, problem: Any, z: Any, count: int) -> int
 
 
 def _line_search(pieces: Pieces, method: NewtonSCP, problem, z, linear, y, metric, count: int) -> None:
-    """Of whole steps: shorter ones are tried only where these fail."""
+    """Line search with whole steps: shorter steps are tried only if the whole step fails."""
     sizes, grid = typical_sizes(z), method.grid
     active = active_set(problem, linear, y, stage_sizes(problem, sizes))
     args = (problem, linear, active, metric, sizes)
@@ -234,7 +235,7 @@ def _line_search(pieces: Pieces, method: NewtonSCP, problem, z, linear, y, metri
         return corrected(problem, z, by, grid, rounds, room)
 
     pieces.time("correction: of a candidate", count, correct, problem, z, by, room)
-    flights = (rounds + 2) * count  # of each round, and the test of whether it helped
+    flights = (rounds + 2) * count  # one integration each round, and the test of its gain
     pieces.time("flights", flights, lambda p, z: evaluate(p, z, grid), problem, z, inside=True)
 
 
@@ -262,7 +263,7 @@ def _interior_pieces(pieces: Pieces, method: NewtonSCP, problem: Any, solution: 
 
 
 def run(echo: Echo, nodes: int = 30) -> dict[str, Any]:
-    """Both modes on Case 1."""
+    """Profiles of both modes on Case 1."""
     scenario, machine = platform_to_platform(), ceiling()
     echo(machine.report())
     found: dict[str, Any] = {"peak_flops": machine.flops, "bandwidth": machine.bandwidth}

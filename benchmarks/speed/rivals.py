@@ -1,8 +1,9 @@
-"""Ours beside the published stack and IPOPT: whole plans from the same guess, in turns, each in a process of its own.
+"""Times of jaxscp, the published stack and IPOPT: whole plans from the same guess, in turns, in separate processes.
 
-``paper_ratio``: the published stack (CVXPY, CLARABEL, Numba) over ours, the same problem by the same method to the same
-stop. ``optimum_ratio``: its time to that stop over ours to the certified optimum, which is a better flight.
-``ipopt_ratio``: IPOPT's time to that optimum's cost over ours, on the identical transcription.
+``paper_ratio``: time of the published stack (CVXPY, CLARABEL, Numba) over time of jaxscp. Problem, method and stop are
+the same. ``optimum_ratio``: time of the published stack to its stop over time of jaxscp to the certified optimum, which
+has a lower cost. ``ipopt_ratio``: time of IPOPT to the optimum's cost over time of jaxscp, on the identical
+transcription.
 """
 
 import dataclasses
@@ -17,13 +18,13 @@ from benchmarks.speed.timing import elapsed
 from jaxscp import Planner, scenarios, status_names
 
 MISSIONS = {"platform": scenarios.platform_to_platform, "ascend": scenarios.ascent_to_platform}
-FIRST = "platform"  # whose ratios are the benchmark's
-CALLS = 5  # of a turn
-SAME_COST = 1e-3  # relative difference of costs that count as the same
+FIRST = "platform"  # the mission of the reported ratios
+CALLS = 5  # calls in a turn
+SAME_COST = 1e-3  # largest relative difference of equal costs
 
 
 def run(echo: Callable[[str], None], nodes: int, repeats: int) -> dict[str, Any]:
-    """Both missions in the paper's mode, and the first in the default mode."""
+    """Figures of both missions in the paper's mode, and of the first in the default mode."""
     echo(f"{'to the same stop':18}{'cost':>20}{'subproblems':>14}{'warm solve ms':>20}{'ratio':>8}")
     echo(f"{'':18}{'ours':>10}{'published':>10}{'ours':>7}{'publ.':>7}{'ours':>10}{'published':>10}")
     published = {name: against_published(name, nodes, repeats, echo) for name in MISSIONS}
@@ -41,7 +42,7 @@ def run(echo: Callable[[str], None], nodes: int, repeats: int) -> dict[str, Any]
 
 
 def against_published(name: str, nodes: int, repeats: int, echo: Callable[[str], None]) -> dict[str, Any]:
-    """The paper's mode and the published stack."""
+    """Figures of the paper's mode and of the published stack."""
     with _warm(ours_to_the_stop, name, nodes) as ours, _warm(published, name, nodes) as theirs:
         calls, calls_published = in_turns([ours, theirs], repeats)
     row = {
@@ -62,8 +63,10 @@ def against_published(name: str, nodes: int, repeats: int, echo: Callable[[str],
 
 
 def to_optimum(name: str, nodes: int, repeats: int, echo: Callable[[str], None]) -> dict[str, Any]:
-    """The default mode's whole plan, guess and certificate included, and the published stack to its stop; then IPOPT's
-    solution alone."""
+    """Figures of the default mode's whole plan, of the published stack to its stop, and of IPOPT's solve.
+
+    The default mode's time includes guess and certificate.
+    """
     with _warm(ours_to_the_optimum, name, nodes) as ours, _warm(published, name, nodes) as theirs:
         calls, calls_published = in_turns([ours, theirs], repeats)
     with Apart(ipopt, name, nodes) as best:
@@ -98,11 +101,11 @@ def _median(calls: list[dict[str, Any]]) -> float:
     return float(np.median([call["seconds"] for call in calls]))
 
 
-# What runs in processes of their own: each makes a function that plans once, and says how long that took.
+# These run in separate processes. Each makes a function that plans once and returns the time.
 
 
 def ours_to_the_stop(name: str, nodes: int) -> Callable[[], dict[str, Any]]:
-    """The paper's mode; guess and certificate left out."""
+    """The paper's mode, without guess and certificate."""
     from benchmarks.rivals.convert import as_arrays, as_method, as_problem
 
     arrays = as_arrays(MISSIONS[name](), nodes)
@@ -132,7 +135,7 @@ def published(name: str, nodes: int) -> Callable[[], dict[str, Any]]:
 
 
 def ours_to_the_optimum(name: str, nodes: int) -> Callable[[], dict[str, Any]]:
-    """The default mode as it is called."""
+    """The default mode, as a user calls the planner."""
     planner, scenario = Planner(nodes=nodes), MISSIONS[name]()
     found = planner(scenario)
 
@@ -144,7 +147,7 @@ def ours_to_the_optimum(name: str, nodes: int) -> Callable[[], dict[str, Any]]:
 
 
 def ipopt(name: str, nodes: int) -> Callable[[], dict[str, Any]]:
-    """IPOPT on the identical transcription, from the guess itself."""
+    """IPOPT on the identical transcription, from the guess."""
     from benchmarks.rivals.convert import as_arrays
     from benchmarks.rivals.optimum import Optimum
 

@@ -1,4 +1,4 @@
-"""How an iteration of the paper's mode grows with the nodes and with the faces of a polytope."""
+"""Time of an iteration of the paper's mode by number of nodes and of faces a polytope."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,13 +14,13 @@ from jaxscp.landing.scenarios import platform_to_platform
 from jaxscp.problem.problem import OptimalControlProblem
 
 NODES, FACES = (15, 30, 60, 120, 240), (6, 12, 18, 24)
-STANDARD, TURNS = 30, 12  # nodes; times that each size is solved
-APART = 0.05  # m between the parallel faces that more faces stand for
+STANDARD, TURNS = 30, 12  # nodes; number of solves of each size
+APART = 0.05  # m between parallel copies of a face
 
 
 @dataclass(frozen=True)
 class Size:
-    """Case 1 compiled at a size: the iterations alone, guess and certificate left out."""
+    """Case 1 compiled at a size: the iterations alone, without guess and certificate."""
 
     name: str
     compiled: Any
@@ -39,7 +39,7 @@ class Size:
         return self.compiled(self.problem, self.guess)
 
     def row(self, seconds: float) -> dict[str, Any]:
-        """What a solve in these seconds says."""
+        """Figures of a solve that took these seconds."""
         state = self.solve()
         iterations, steps = int(state.iterations), int(jnp.sum(state.history.conic_iterations))
         return {
@@ -52,7 +52,7 @@ class Size:
 
 
 def run(echo: Callable[[str], None]) -> dict[str, Any]:
-    """Case 1 at every size."""
+    """Figures of Case 1 at every size."""
     scenario = platform_to_platform()
     sizes = [Size.of(f"{n} nodes", scenario, n) for n in NODES]
     sizes += [Size.of(f"{f} faces", with_faces(scenario, f), STANDARD) for f in FACES]
@@ -76,13 +76,13 @@ def run(echo: Callable[[str], None]) -> dict[str, Any]:
 
 
 def memory(compiled: Any) -> int:
-    """Bytes that a compiled program needs for arguments, results and what lies between."""
+    """Bytes of a compiled program for arguments, results and temporary arrays."""
     sizes = compiled.memory_analysis()
     return sizes.argument_size_in_bytes + sizes.output_size_in_bytes + sizes.temp_size_in_bytes
 
 
 def with_faces(scenario: LandingScenario, faces: int) -> LandingScenario:
-    """The same corridor with as many faces a polytope: copies of those it has, each a little further out."""
+    """The same corridor with more faces a polytope: copies of the faces, each a little further out."""
     normals, offsets = scenario.corridor.normals, scenario.corridor.offsets
     sheets = range(faces // offsets.shape[1])
     more = (

@@ -1,7 +1,6 @@
-"""From ``python -c`` to the first plan, in fresh processes: with an empty cache, with a full one, and from an exported
-planner.
+"""Time from ``python -c`` to the first plan in a fresh process: empty cache, full cache, exported planner.
 
-``cold`` fills the cache that ``cached`` finds: the folder of ``jaxscp.use_cache``.
+``cold`` fills the cache that ``cached`` reads: the folder of ``jaxscp.use_cache``.
 """
 
 import os
@@ -13,7 +12,7 @@ from collections.abc import Callable
 from typing import Any
 
 METHODS = {"paper": "jaxscp.PTR()", "default": "jaxscp.NewtonSCP()"}
-FIRST = "default"  # whose times are the benchmark's
+FIRST = "default"  # the mode of the reported times
 IMPORT = """
 import jax
 jax.config.update("jax_enable_x64", True)
@@ -30,7 +29,7 @@ KINDS = ("cold", "cached", "export")
 
 
 def run(echo: Callable[[str], None], nodes: int) -> dict[str, Any]:
-    """Both modes on Case 1."""
+    """Times of both modes on Case 1."""
     echo(f"{'start, s':12}" + "".join(f"{kind:>8}" for kind in KINDS))
     rows = {}
     for mode, method in METHODS.items():
@@ -44,7 +43,7 @@ def run(echo: Callable[[str], None], nodes: int) -> dict[str, Any]:
 
 
 def starts(method: str, nodes: int) -> dict[str, float]:
-    """Seconds by kind."""
+    """Seconds of a start, by kind."""
     planner = PLANNER.format(nodes=nodes, method=method)
     with tempfile.TemporaryDirectory() as folder:
         file = os.path.join(folder, "planner.jaxscp")
@@ -55,7 +54,7 @@ def starts(method: str, nodes: int) -> dict[str, float]:
 
 
 def seconds(code: str) -> float:
-    """From the start of a process that runs the code to its answer, the first line that it prints."""
+    """Seconds from the start of a process that runs the code to its first printed line."""
     variables = {k: v for k, v in os.environ.items() if k != "JAX_COMPILATION_CACHE_DIR"}
     began = time.perf_counter()
     with tempfile.TemporaryFile("w+") as said:

@@ -1,4 +1,4 @@
-"""Clocks: of whole calls, of a piece as it runs inside a compiled loop, and of the machine itself."""
+"""Clocks: whole calls, a part inside a compiled loop, and the machine's peak."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -9,21 +9,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-ROUND = 0.004  # s: short, so that some rounds fall between what else the machine does
+ROUND = 0.004  # s: short, so that other programs disturb only some rounds
 ROUNDS_SECONDS, LEAST_ROUNDS = 0.8, 5
 MATMUL = {"cpu": 768, "gpu": 8192}  # rows
 TRIAD = {"cpu": 1 << 24, "gpu": 1 << 28}  # float64 numbers an array: far beyond any cache
 
 
 def elapsed(function: Callable[[], Any]) -> float:
-    """Seconds of one call, to the arrival of its arrays."""
+    """Seconds of one call, until its arrays are ready."""
     began = time.perf_counter()
     jax.block_until_ready(function())
     return time.perf_counter() - began
 
 
 def least_seconds(function: Callable[[], Any]) -> float:
-    """Least of many warm calls, for what is compared with sums of such."""
+    """Least seconds of many warm calls, for times that are added up."""
     jax.block_until_ready(function())
     times = []
     while sum(times) < ROUNDS_SECONDS or len(times) < LEAST_ROUNDS:
@@ -32,13 +32,13 @@ def least_seconds(function: Callable[[], Any]) -> float:
 
 
 def median_seconds(function: Callable[[], Any], repeats: int) -> float:
-    """Median of warm calls; the first, which may compile, is not counted."""
+    """Median seconds of warm calls; the first call may compile and is not counted."""
     jax.block_until_ready(function())
     return float(np.median([elapsed(function) for _ in range(repeats)]))
 
 
 def least_in_turns(functions: Sequence[Callable[[], Any]], turns: int) -> list[float]:
-    """Least of warm calls of each, made in turns: what are to be compared then see the same neighbours."""
+    """Least seconds of warm calls of each function, in turns: other programs then disturb all alike."""
     for function in functions:
         jax.block_until_ready(function())
     rounds = [[elapsed(function) for function in functions] for _ in range(turns)]
@@ -46,10 +46,10 @@ def least_in_turns(functions: Sequence[Callable[[], Any]], turns: int) -> list[f
 
 
 class Loop:
-    """A piece called again and again inside one compiled loop: without what a call from Python costs.
+    """Repeated calls of a part inside one compiled loop, without the overhead of calls from Python.
 
-    To every argument is added a zero that the compiler cannot know to be one, made of the last call's result; else it
-    would move the piece out of the loop.
+    A zero made from the last call's result is added to every argument. The compiler cannot know this zero; otherwise
+    it would move the part out of the loop.
     """
 
     def __init__(self, function: Callable, *args: Any) -> None:
@@ -63,11 +63,11 @@ class Loop:
         self._calls = calls
 
     def result(self, *args: Any) -> Any:
-        """What the piece returns."""
+        """Result of the part."""
         return self._calls(1, args)
 
     def seconds(self, *args: Any) -> float:
-        """Of one call; the least of many short rounds, since others use the machine too."""
+        """Seconds of one call: least of many short rounds, since other programs use the machine too."""
         jax.block_until_ready(self._calls(1, args))
         count = max(1, round(ROUND / max(elapsed(lambda: self._calls(1, args)), 1e-5)))
         return least_seconds(lambda: self._calls(count, args)) / count
@@ -83,12 +83,12 @@ def _tied(args: Any, last: Any) -> Any:
 
 @dataclass(frozen=True)
 class Ceiling:
-    """What the machine does at best, in float64."""
+    """Peak rates of the machine in float64."""
 
     flops: float
-    """Of a matrix product, 1/s."""
+    """Rate of a matrix product, 1/s."""
     bandwidth: float
-    """Of b += s c on arrays far larger than its caches, bytes/s."""
+    """Rate of b += s c on arrays far larger than the caches, bytes/s."""
 
     def report(self) -> str:
         """A line for people."""
@@ -110,7 +110,7 @@ def ceiling() -> Ceiling:
 
 
 def _triad_seconds(size: int) -> float:
-    """Of one pass, in place: fresh memory would cost more than the arithmetic."""
+    """Seconds of one b += s c, in place: fresh memory would cost more than the arithmetic."""
     triad = jax.jit(lambda b, c: b + 3.0 * c, donate_argnums=0)
     b, c = jnp.ones(size), jnp.ones(size)
     times = []

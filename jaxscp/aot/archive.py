@@ -1,8 +1,9 @@
-"""A planner in a file: what it is for, its programs in portable form, and as compiled for one machine.
+"""A planner in a file: its header, its programs in portable form, and as compiled for one machine.
 
 The file is a ZIP archive: ``header.json``, ``*.stablehlo`` (serialised by ``jax.export``) and ``*.executable``
-(serialised by ``jax.experimental.serialize_executable``, which pickles). ``exporting`` writes it. What reads it is
-here and in ``loading``, and imports little, so that programs are loaded while the rest is imported (``loaded``).
+(serialised by ``jax.experimental.serialize_executable``, which pickles). ``export`` writes it. The code that reads it
+is here and in ``load``, and imports little: threads load the programs while the other modules are imported
+(``rebuild``).
 """
 
 import hashlib
@@ -27,7 +28,7 @@ COMPILED = (
     *(library.on_gpu for library in libraries.EVERY if library.on_gpu),
     *(target for library in libraries.EVERY for target in library.targets),
 )
-"""What programs may call that was compiled at installation."""
+"""Targets of the compiled libraries, which programs may call."""
 
 
 class InvalidExport(ValueError):
@@ -35,7 +36,7 @@ class InvalidExport(ValueError):
 
 
 class Archive(NamedTuple):
-    """What a file holds."""
+    """Contents of a file."""
 
     header: dict[str, Any]
     portable: dict[str, bytes]
@@ -43,7 +44,11 @@ class Archive(NamedTuple):
 
 
 def read(file: str | os.PathLike) -> Archive:
-    """What ``exporting.write`` wrote; raises ``InvalidExport`` if it is something else."""
+    """Contents of a file that ``export.write`` wrote.
+
+    Raises:
+        InvalidExport: if the file is something else, or of another format.
+    """
     try:
         with zipfile.ZipFile(file) as archive:
             header = json.loads(archive.read("header.json"))
@@ -52,15 +57,17 @@ def read(file: str | os.PathLike) -> Archive:
                     f"{file}: its format is {header['format']}, and this version of jaxscp reads {FORMAT}; export the "
                     "planner again."
                 )
-            forms = [name for name in PROGRAMS if f"{name}.stablehlo" in archive.namelist()]
-            portable = {name: archive.read(f"{name}.stablehlo") for name in forms}
+            names = archive.namelist()
+            portable = {
+                name: archive.read(f"{name}.stablehlo") for name in PROGRAMS if f"{name}.stablehlo" in names
+            }
             return Archive(header, portable, {name: archive.read(f"{name}.executable") for name in PROGRAMS})
     except (zipfile.BadZipFile, KeyError, TypeError, json.JSONDecodeError, UnicodeDecodeError) as error:
         raise InvalidExport(f"{file}: not a planner that Planner.export wrote: {error}") from error
 
 
-def machine() -> dict[str, str]:
-    """What a compiled program runs on: that and nothing else."""
+def fingerprint() -> dict[str, str]:
+    """Versions and hardware that a compiled program needs, and nothing else."""
     device = jax.devices()[0]
     return {
         "jax": jax.__version__,
@@ -74,7 +81,7 @@ def machine() -> dict[str, str]:
 
 
 def is_here(target: str) -> bool:
-    """Whether what a program calls was compiled at this installation; makes it known to XLA."""
+    """Whether this installation has the library of a target; registers the target with XLA."""
     for library in libraries.EVERY:
         if target == library.on_gpu:
             from jaxscp.backends import cuda  # for a GPU alone
@@ -86,15 +93,15 @@ def is_here(target: str) -> bool:
 
 
 def _instructions() -> str:
-    """The processor's instruction sets where the system tells, else the host's name."""
+    """The processor's instruction sets where the system lists them, else the host's name."""
     table = pathlib.Path("/proc/cpuinfo")
     lines = table.read_text().splitlines() if table.exists() else []
     found = {line for line in lines if line.startswith(("flags", "Features"))}
     return "\n".join(sorted(found)) or platform.node()
 
 
-def begin(archive: Archive) -> dict[str, Future[Callable]]:
-    """Load the programs as they were compiled, each in a thread of its own; no compiler runs."""
+def start_loading(archive: Archive) -> dict[str, Future[Callable]]:
+    """Load the compiled programs, each in a thread of its own; no compiler runs."""
     device = jax.devices()[0]
 
     def load(name: str) -> Callable:
@@ -106,12 +113,15 @@ def begin(archive: Archive) -> dict[str, Future[Callable]]:
         )
 
     threads = ThreadPoolExecutor()
-    begun = {name: threads.submit(load, name) for name in sorted(PROGRAMS, key=lambda name: name != "solve")}
+    loading = {name: threads.submit(load, name) for name in sorted(PROGRAMS, key=lambda n: n != "solve")}
     threads.shutdown(wait=False)
-    return begun
+    return loading
 
 
 def find_lapack() -> None:
-    """Have JAX look up LAPACK's routines: it does so when it first lowers a program with one, and in a process that
-    only runs programs they would be null pointers."""
+    """Have JAX look up LAPACK's routines.
+
+    JAX does so when it first lowers a program with one; in a process that only runs programs, the routines would be
+    null pointers.
+    """
     jax.jit(jax.lax.linalg.cholesky).lower(jax.ShapeDtypeStruct((1, 1), float))

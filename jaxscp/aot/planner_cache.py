@@ -1,27 +1,24 @@
-"""Planners that were compiled before: in this process, or in the folder of ``use_cache``, where they are found by what
-they are made of."""
+"""Compiled planners of this process, and of the folder of ``use_cache``.
 
-from __future__ import annotations
+In the folder, a planner is found by a hash of planner, shapes, code, settings and machine.
+"""
 
+import dataclasses
 import functools
 import hashlib
 import json
 import os
 import pathlib
 import warnings
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import jax
 
 from jaxscp.aot import archive, cache_folder, export
-from jaxscp.aot.aot import CompiledPlanner, compiled, with_programs, without_obstacles
-from jaxscp.aot.load import load
-from jaxscp.aot.pytree_spec import Description, spec_of
+from jaxscp.aot.aot import CompiledPlanner, TracedPlanner, compiled, with_programs
+from jaxscp.aot.pytree_spec import Spec, spec_of
 from jaxscp.backends.xla import is_traced, options
-from jaxscp.landing.scenario import LandingScenario
-
-if TYPE_CHECKING:
-    from jaxscp.planner.planner import Planner
 
 PACKAGE = __name__.partition(".")[0]
 CODE = (".py", ".so")
@@ -29,21 +26,36 @@ MOST = 16  # compiled planners of a process, the last ones called: each holds a 
 CONFIGURATION = ("jax_enable_x64", "jax_default_matmul_precision", "jax_debug_nans", "jax_disable_jit")
 
 
-def kept(planner: Planner, scenario: LandingScenario, *more: Any) -> CompiledPlanner | None:
-    """The planner compiled for scenarios like this one, its programs side by side: from the folder in use, or for it,
-    or for this process alone. None where a call is part of another program, or not one for JAX's default device.
+@dataclasses.dataclass(frozen=True)
+class Maker:
+    """How to make a planner for inputs of given shapes; equal if their planners are.
 
     Args:
-        planner: to compile.
-        scenario: of the call.
-        more: arrays that the call is about, besides.
+        planner: static settings, hashable; its specification is part of the key.
+        trace: from inputs of ``jax.ShapeDtypeStruct`` to the traced planner.
+        load: from a file to the compiled planner.
     """
-    bare = without_obstacles(scenario)
-    if not _plain((bare, more)):
+
+    planner: Any
+    trace: Callable[[Any], TracedPlanner] = dataclasses.field(compare=False)
+    load: Callable[..., CompiledPlanner] = dataclasses.field(compare=False)
+
+
+def cached(maker: Maker, inputs: Any, *more: Any) -> CompiledPlanner | None:
+    """The planner compiled for inputs like these: from the folder in use, or made for it, or for this process alone.
+
+    None where a call is part of another program, or not for JAX's default device.
+
+    Args:
+        maker: of the planner.
+        inputs: of the call.
+        more: further arrays of the call.
+    """
+    if not _plain((inputs, more)):
         return None
-    leaves, tree = jax.tree.flatten(bare)
+    leaves, tree = jax.tree.flatten(inputs)
     shapes = tuple(jax.ShapeDtypeStruct(v.shape, v.dtype) for v in leaves)
-    return _kept(cache_folder.folder(), planner, tree, shapes, tuple(_settings().values()))
+    return _cached(cache_folder.folder(), maker, tree, shapes, tuple(_settings().values()))
 
 
 def _plain(arrays: Any) -> bool:
@@ -54,18 +66,18 @@ def _plain(arrays: Any) -> bool:
 
 
 @functools.lru_cache(maxsize=MOST)
-def _kept(
-    folder: pathlib.Path | None, planner: Planner, tree: Any, shapes: tuple, settings: tuple
+def _cached(
+    folder: pathlib.Path | None, maker: Maker, tree: Any, shapes: tuple, settings: tuple
 ) -> CompiledPlanner:
     like = jax.tree.unflatten(tree, shapes)
-    file = folder and _file(folder, planner, like)
+    file = folder and _file(folder, maker.planner, like)
     if file is None:
-        return compiled(planner.plan_ahead(like))
-    return _found(file) or _made(file, planner, like)
+        return compiled(maker.trace(like))
+    return _from_file(file, maker) or _into_file(file, maker, like)
 
 
-def _file(folder: pathlib.Path, planner: Planner, like: LandingScenario) -> pathlib.Path | None:
-    """None for what cannot be kept."""
+def _file(folder: pathlib.Path, planner: Any, like: Any) -> pathlib.Path | None:
+    """File of a planner; None if no file can hold it."""
     try:
         parts = [spec_of(planner), spec_of(like)]
     except TypeError:
@@ -73,16 +85,22 @@ def _file(folder: pathlib.Path, planner: Planner, like: LandingScenario) -> path
     return folder / f"planner-{_digest(parts)}.jaxscp" if _ours(parts) else None
 
 
-def _ours(part: Description) -> bool:
-    """Whether all classes are this package's: of others, a name does not tell what they do."""
+def _ours(part: Spec) -> bool:
+    """Whether all classes are this package's: the name of another class does not determine its code."""
     if isinstance(part, dict):
         return part.get("class", PACKAGE).partition(".")[0] == PACKAGE and all(map(_ours, part.values()))
     return not isinstance(part, list) or all(map(_ours, part))
 
 
-def _digest(parts: list[Description]) -> str:
-    """Of all that decides what a planner does."""
-    surroundings = [archive.machine(), _settings(), options(), os.environ.get("XLA_FLAGS", ""), _code()]
+def _digest(parts: list[Spec]) -> str:
+    """Hash of everything that determines a planner's programs."""
+    surroundings = [
+        archive.fingerprint(),
+        _settings(),
+        options(),
+        os.environ.get("XLA_FLAGS", ""),
+        code_digest(),
+    ]
     text = json.dumps([*parts, *surroundings], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
@@ -92,31 +110,30 @@ def _settings() -> dict[str, str]:
 
 
 @functools.cache
-def _code() -> str:
-    """Of this package, as it is installed."""
+def code_digest(root: pathlib.Path = pathlib.Path(__file__).parents[1]) -> str:
+    """Hash of all code of this package, as installed: every room, libraries included."""
     digest = hashlib.sha256()
-    root = pathlib.Path(__file__).parents[1]
     for file in sorted(file for file in root.rglob("*") if file.suffix in CODE):
         digest.update(f"{file.relative_to(root)}".encode())
         digest.update(file.read_bytes())
     return digest.hexdigest()
 
 
-def _found(file: pathlib.Path) -> CompiledPlanner | None:
+def _from_file(file: pathlib.Path, maker: Maker) -> CompiledPlanner | None:
     if not file.exists():
         return None
     try:
-        return load(file, compile=False)
+        return maker.load(file, compile=False)
     except (archive.InvalidExport, OSError) as error:
-        warnings.warn(f"jaxscp: the kept planner is made again: {error}", stacklevel=2)
+        warnings.warn(f"jaxscp: the cached planner is made again: {error}", stacklevel=2)
         return None
 
 
-def _made(file: pathlib.Path, planner: Planner, like: LandingScenario) -> CompiledPlanner:
-    plan = planner.plan_ahead(like)
-    programs = export.programs_of(plan)
+def _into_file(file: pathlib.Path, maker: Maker, like: Any) -> CompiledPlanner:
+    traced = maker.trace(like)
+    programs = export.programs_of(traced)
     try:
-        export.write(file, plan, programs, portable=False)
-    except Exception as error:  # a disk that is full, a solver on the host: the plan itself is none the worse
-        warnings.warn(f"jaxscp: the planner cannot be kept: {error}", stacklevel=2)
-    return with_programs(plan, programs)
+        export.write(file, traced, programs, portable=False)
+    except Exception as error:  # a full disk, a solver on the host: the planner itself works
+        warnings.warn(f"jaxscp: the planner cannot be cached: {error}", stacklevel=2)
+    return with_programs(traced, programs)

@@ -1,7 +1,7 @@
-"""What a pytree of this library looks like, as plain data: to compare two of them, and to store one in a file.
+"""The specification of a pytree as plain data: to compare two pytrees, and to store one in a file.
 
-A description is made of dicts, lists, strings and numbers, which JSON holds: a class with its fields, a tuple with its
-items, an array with its shape and dtype. Classes are named, never stored: ``zeros_of`` builds only those it is given.
+A specification is made of dicts, lists, strings and numbers, which JSON holds: a class with its fields, a tuple with
+its items, an array with its shape and dtype. Classes are named, never stored: ``zeros_of`` builds only given classes.
 """
 
 import dataclasses
@@ -15,12 +15,12 @@ import numpy as np
 
 from jaxscp.core.status import Status
 
-Description = Any
+Spec = Any
 
 _STATUS = type(Status.converged)
 
 
-def spec_of(tree: Any) -> Description:
+def spec_of(tree: Any) -> Spec:
     """Classes, fields, shapes and dtypes of a pytree whose leaves are arrays or ``jax.ShapeDtypeStruct``.
 
     Example:
@@ -40,14 +40,14 @@ def spec_of(tree: Any) -> Description:
         return {"value": tree}
     if hasattr(tree, "shape") and hasattr(tree, "dtype"):
         return {"shape": list(tree.shape), "dtype": str(tree.dtype)}
-    raise TypeError(f"a {type(tree).__name__} cannot be described")
+    raise TypeError(f"a {type(tree).__name__} has no specification")
 
 
-def zeros_of(description: Description, classes: Iterable[type]) -> Any:
-    """A pytree of zeros that looks as described, built by the constructors of these classes and no other.
+def zeros_of(spec: Spec, classes: Iterable[type]) -> Any:
+    """A pytree of zeros with this specification, built by the constructors of the given classes and no other.
 
     Raises:
-        KeyError: if the description lacks a part, or names another class.
+        KeyError: if the specification misses a part, or names another class.
     """
     known = {f"{cls.__module__}.{cls.__qualname__}": cls for cls in classes}
 
@@ -62,11 +62,11 @@ def zeros_of(description: Description, classes: Iterable[type]) -> Any:
             return part["value"]
         return jnp.asarray(np.zeros(part["shape"], part["dtype"]))
 
-    return build(description)
+    return build(spec)
 
 
-def difference(expected: Description, found: Description, name: str = "") -> str | None:
-    """Where two descriptions first differ, in words; None where they do not.
+def difference(expected: Spec, found: Spec, name: str = "") -> str | None:
+    """First difference of two specifications, in words; None if they are equal.
 
     Example:
         >>> import jax.numpy as jnp, jaxscp
@@ -91,7 +91,7 @@ def difference(expected: Description, found: Description, name: str = "") -> str
     return next(words for words in below if words)
 
 
-def _words(part: Description) -> str:
+def _words(part: Spec) -> str:
     if "shape" in part:
         return f"{part['dtype']} of shape {tuple(part['shape'])}"
     if "class" in part:

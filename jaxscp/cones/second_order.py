@@ -58,14 +58,19 @@ class SecondOrderScaling(eqx.Module):
 
     def square(self, v: Float[Array, "*b d"]) -> Float[Array, "*b d"]:
         """W^2 v."""
-        along = jnp.sum(self.w * v, axis=-1, keepdims=True)
-        return self.eta[..., None] ** 2 * (2.0 * self.w * along - reflect(v))
+        projection = jnp.sum(self.w * v, axis=-1, keepdims=True)
+        return self.eta[..., None] ** 2 * (2.0 * self.w * projection - reflect(v))
 
     def inverse_square(self, v: Float[Array, "*b d"]) -> Float[Array, "*b d"]:
         """W^-2 v."""
         mirrored = reflect(self.w)
-        along = jnp.sum(mirrored * v, axis=-1, keepdims=True)
-        return (2.0 * mirrored * along - reflect(v)) / self.eta[..., None] ** 2
+        projection = jnp.sum(mirrored * v, axis=-1, keepdims=True)
+        return (2.0 * mirrored * projection - reflect(v)) / self.eta[..., None] ** 2
+
+    def inverse_square_parts(self) -> tuple[Float[Array, "*b d"], Float[Array, "*b d"]]:
+        """W^-2 as a diagonal, and a vector whose outer square is added."""
+        size = self.eta[..., None]
+        return -reflect(jnp.ones_like(self.w)) / size**2, jnp.sqrt(2.0) * reflect(self.w) / size
 
 
 def _hyperbolic(w: Float[Array, "*b d"], v: Float[Array, "*b d"]) -> Float[Array, "*b d"]:

@@ -1,4 +1,4 @@
-"""Arrays from what people write down, of which JAX compiles nothing."""
+"""Arrays from plain numbers and lists, without compilation."""
 
 from typing import Any
 
@@ -16,8 +16,8 @@ PRECISION = (
 def namespace(*values: Any) -> Any:
     """``jax.numpy`` where any of these pytrees is traced, else ``numpy``.
 
-    What is known needs no JAX, which would compile every operation on it: a scenario would take longer to write down
-    than to plan for. What is to be an array of JAX goes through ``jnp.asarray``.
+    Known numbers need no JAX, which would compile every operation: to build a scenario would take longer than to plan
+    it. ``jnp.asarray`` makes arrays of JAX.
 
     Example:
         >>> import jax, jax.numpy as jnp

@@ -1,9 +1,9 @@
-"""Loops over a batch whose lanes end at different times.
+"""Loops over a batch whose elements end at different times.
 
-``jax.vmap`` of ``jax.lax.while_loop`` steps every lane until the last one ends. Of thousands of plans most need six
-subproblems and a few need sixty, so that nine tenths of that work is thrown away. Here a batch is stepped in rounds:
-the lanes that have not ended are gathered, stepped a tile at a time, and put back. What a lane computes is the same.
-A tile that they do not fill has lanes that have ended too: to step those costs least if the step sees that.
+``jax.vmap`` of ``jax.lax.while_loop`` steps every element until the last one ends. Of thousands of plans most need six
+subproblems and a few need sixty, so that nine tenths of the work is wasted. Here a batch is stepped in rounds: the
+unfinished elements are gathered, stepped a chunk at a time, and scattered back. The result of an element is the same.
+Finished elements fill up the last chunk of a round; a step that notices this can save their work.
 """
 
 from collections.abc import Callable
@@ -18,14 +18,14 @@ from jaxscp.core.types import Flag
 
 State = TypeVar("State")
 
-# Sizes: the usual one and, if another follows, that of tiles for the few lanes that are left.
-Tiles = tuple[int, ...]
+# Chunk sizes: the usual one, and optionally a second, smaller one for the last unfinished elements.
+Chunks = tuple[int, ...]
 
-# Lanes stepped at once: few, so that little work is wasted on those that have ended in a tile; but enough for the
-# device, which a smaller tile keeps busy no less long.
-TILE: dict[str, Tiles] = {"cpu": (8,)}
-TILE_ELSEWHERE: Tiles = (2048,)
-FEW = 2  # small tiles that take no longer than a large one of which as many lanes go on
+# Elements stepped at once. A small chunk wastes little work on finished elements; it must still be large enough to
+# use the whole device.
+CHUNK: dict[str, Chunks] = {"cpu": (8,)}
+CHUNK_ELSEWHERE: Chunks = (2048,)
+FEW = 2  # small chunks that take no longer than a large one with as many unfinished elements
 
 
 def while_loop(
@@ -33,35 +33,36 @@ def while_loop(
     step: Callable[[Any, State], State],
     fixed: Any,
     state: State,
-    elsewhere: Tiles = TILE_ELSEWHERE,
+    elsewhere: Chunks = CHUNK_ELSEWHERE,
 ) -> State:
-    """``jax.lax.while_loop``; under ``vmap``, in rounds over the lanes that are not finished.
+    """``jax.lax.while_loop``; under ``vmap``, in rounds over the unfinished elements.
 
-    It has no derivative: keep those of ``fixed`` and ``state`` away by ``jax.lax.stop_gradient``.
+    The loop has no derivative: apply ``jax.lax.stop_gradient`` to ``fixed`` and ``state`` first.
 
     Args:
-        unfinished: whether a state is to be stepped.
+        unfinished: whether a state needs another step.
         step: from ``fixed`` and a state to the next; closes over no array.
-        fixed: any pytree that stays as it is.
+        fixed: any pytree, constant over the loop.
         state: a pytree of arrays, to begin with.
-        elsewhere: lanes stepped at once on other devices than CPUs. A second, smaller number is of the few that are
-            left: what steps them is then compiled for both.
+        elsewhere: elements stepped at once on devices other than CPUs. A second, smaller number serves the last
+            unfinished elements; the step is then compiled for both.
     """
     arrays, rest = eqx.partition(fixed, eqx.is_array)
-    traced_step = jax.jit(
+    traced_step = jax.jit(  # traced once for all uses below
         lambda arrays, state: step(eqx.combine(arrays, rest), state)
-    )  # traced once for all uses below
+    )
 
     @custom_vmap
     def loop(arrays, state):
         return jax.lax.while_loop(unfinished, lambda s: traced_step(arrays, s), state)
 
     @loop.def_vmap
-    def _(lanes, batched, arrays, state):
-        own, begun = batched
-        states = jax.tree.map(lambda v, b: v if b else _repeat(v, lanes), state, begun)
-        every = jax.tree.map(int, own)
-        return _all(_many(unfinished, traced_step, lanes, elsewhere, every)(arrays, states))
+    def _(size, batched, arrays, state):
+        arrays_batched, state_batched = batched
+        states = jax.tree.map(lambda v, b: v if b else _repeat(v, size), state, state_batched)
+        shared = jax.tree.map(int, arrays_batched)
+        batch = _BatchLoop(unfinished, traced_step, size, elsewhere)
+        return _all_batched(_batch_loop(batch, shared)(arrays, states))
 
     return loop(arrays, state)
 
@@ -71,9 +72,9 @@ def where_needed(
     act: Callable[[Any, State], State],
     fixed: Any,
     state: State,
-    elsewhere: Tiles = TILE_ELSEWHERE,
+    elsewhere: Chunks = CHUNK_ELSEWHERE,
 ) -> State:
-    """``act(fixed, state)`` where that is needed, else the state; under ``vmap`` the other lanes cost nothing."""
+    """``act(fixed, state)`` where needed, else the state; under ``vmap`` the other elements cost nothing."""
     end, _ = while_loop(
         lambda s: s[1],
         lambda fixed, s: (act(fixed, s[0]), jnp.zeros_like(s[1])),
@@ -84,81 +85,90 @@ def where_needed(
     return end
 
 
-def in_tiles(act: Callable[[Any], State], fixed: Any, elsewhere: Tiles = TILE_ELSEWHERE) -> State:
-    """``act(fixed)``; under ``vmap``, a tile of lanes at a time, so that what it holds meanwhile is held for a tile.
+def in_chunks(act: Callable[[Any], State], fixed: Any, elsewhere: Chunks = CHUNK_ELSEWHERE) -> State:
+    """``act(fixed)``; under ``vmap``, a chunk of elements at a time, so that memory is needed for one chunk only.
 
-    It has no derivative: keep those of ``fixed`` away by ``jax.lax.stop_gradient``.
+    The result has no derivative: apply ``jax.lax.stop_gradient`` to ``fixed`` first.
 
     Args:
-        act: what is done with a lane.
+        act: function of one element.
         fixed: any pytree.
-        elsewhere: lanes of a tile on other devices than CPUs, as above.
+        elsewhere: elements of a chunk on devices other than CPUs, as above.
 
     Example:
         >>> import jax, jax.numpy as jnp
-        >>> from jaxscp.core.batching import in_tiles
-        >>> jax.vmap(lambda v: in_tiles(jnp.sum, v))(jnp.ones((3, 5))).tolist()
+        >>> from jaxscp.core.batching import in_chunks
+        >>> jax.vmap(lambda v: in_chunks(jnp.sum, v))(jnp.ones((3, 5))).tolist()
         [5.0, 5.0, 5.0]
     """
     arrays, rest = eqx.partition(fixed, eqx.is_array)
-    traced_step = lambda arrays: act(eqx.combine(arrays, rest))  # noqa: E731
+    on_arrays = lambda arrays: act(eqx.combine(arrays, rest))  # noqa: E731
 
     @custom_vmap
     def one(arrays):
-        return traced_step(arrays)
+        return on_arrays(arrays)
 
     @one.def_vmap
-    def _(lanes, batched, arrays):
-        blank = jax.tree.map(
-            lambda v: jnp.zeros(v.shape, v.dtype), jax.eval_shape(traced_step, lane_of(batched, arrays))
-        )
+    def _(size, batched, arrays):
+        first = jax.tree.map(lambda v, b: v[0] if b else v, arrays, batched[0])
+        blank = jax.tree.map(lambda v: jnp.zeros(v.shape, v.dtype), jax.eval_shape(on_arrays, first))
         axes = jax.tree.map(lambda b: 0 if b else None, batched[0])
-        tiled = lambda arrays: where_needed(  # noqa: E731
-            jnp.ones((), bool), lambda arrays, _: traced_step(arrays), arrays, blank, elsewhere
+        chunked = lambda arrays: where_needed(  # noqa: E731
+            jnp.ones((), bool), lambda arrays, _: on_arrays(arrays), arrays, blank, elsewhere
         )
-        return _all(jax.vmap(tiled, in_axes=(axes,), axis_size=lanes)(arrays))
-
-    def lane_of(batched, arrays):
-        return jax.tree.map(lambda v, b: v[0] if b else v, arrays, batched[0])
+        return _all_batched(jax.vmap(chunked, in_axes=(axes,), axis_size=size)(arrays))
 
     return one(arrays)
 
 
-def _many(unfinished, step, lanes: int, elsewhere: Tiles, every):
-    """The loop for a batch. Under another ``vmap``, that of one larger batch.
+class _BatchLoop(eqx.Module):
+    """The loop of a batch."""
+
+    unfinished: Callable[..., Any] = eqx.field(static=True)
+    """Of one element's state."""
+    step: Callable[..., Any] = eqx.field(static=True)
+    """Of one element."""
+    size: int = eqx.field(static=True)
+    """Elements."""
+    elsewhere: Chunks = eqx.field(static=True)
+
+    def resized(self, size: int) -> "_BatchLoop":
+        """The loop of a batch of another size."""
+        return _BatchLoop(self.unfinished, self.step, size, self.elsewhere)
+
+
+def _batch_loop(loop_of: _BatchLoop, shared):
+    """The loop for a batch. Under another ``vmap``, the loop of one larger batch.
 
     Args:
-        unfinished: of one lane's state.
-        step: of one lane.
-        lanes: how many.
-        elsewhere: how many of them at once on other devices than CPUs, as above.
-        every: of each of the arrays that stay, how many lanes in a row share an entry of its leading axis, which is run
-            through again when it ends; zero where all share the array.
+        loop_of: the loop.
+        shared: for each constant array, how many consecutive elements use one entry of its leading axis, which is
+            cycled through; zero if all elements use the whole array.
     """
+    size = loop_of.size
 
     @custom_vmap
     def loop(arrays, states):
-        return _in_rounds(unfinished, step, lanes, elsewhere, every, arrays, states)
+        return _in_rounds(loop_of, shared, arrays, states)
 
     @loop.def_vmap
     def _(batches, batched, arrays, states):
         merge = lambda v: v.reshape(batches * v.shape[1], *v.shape[2:])  # noqa: E731
-        split = lambda v: v.reshape(batches, lanes, *v.shape[1:])  # noqa: E731
+        split = lambda v: v.reshape(batches, size, *v.shape[1:])  # noqa: E731
 
         def merged(v, outer, inner):
             if not outer:
                 return v, inner
             if not inner:
-                return v, lanes
-            times = lanes // (inner * v.shape[1])  # that the inner batch runs through it
+                return v, size
+            times = size // (inner * v.shape[1])  # cycles of the inner batch through the array
             return merge(jnp.tile(v, (1, times) + (1,) * (v.ndim - 2))), inner
 
-        pairs = jax.tree.map(merged, arrays, batched[0], every)
-        arrays, shared = (jax.tree.map(lambda _, p, k=k: p[k], arrays, pairs) for k in range(2))
+        pairs = jax.tree.map(merged, arrays, batched[0], shared)
+        arrays, outer_shared = (jax.tree.map(lambda _, p, k=k: p[k], arrays, pairs) for k in range(2))
         states = jax.tree.map(lambda v, outer: merge(v if outer else _repeat(v, batches)), states, batched[1])
-        return _all(
-            jax.tree.map(split, _many(unfinished, step, batches * lanes, elsewhere, shared)(arrays, states))
-        )
+        whole = _batch_loop(loop_of.resized(batches * size), outer_shared)
+        return _all_batched(jax.tree.map(split, whole(arrays, states)))
 
     return loop
 
@@ -167,42 +177,43 @@ def _repeat(v, times: int):
     return jnp.broadcast_to(v, (times, *jnp.shape(v)))
 
 
-def _all(end):
-    """With what ``custom_vmap`` asks for: every leaf is batched."""
+def _all_batched(end):
+    """The result, and for ``custom_vmap`` the statement that every leaf is batched."""
     return end, jax.tree.map(lambda _: True, end)
 
 
-def _in_rounds(unfinished, step, lanes: int, elsewhere: Tiles, every, arrays, states):
-    """Step the lanes that are not finished, tile by tile, until there are none."""
-    tile, *few = (min(lanes, size) for size in TILE.get(jax.default_backend(), elsewhere))
-    small = few[0] if few else tile
-    axes = jax.tree.map(lambda k: 0 if k else None, every)
+def _in_rounds(loop_of: _BatchLoop, shared, arrays, states):
+    """Step the unfinished elements, chunk by chunk, until there are none."""
+    size, unfinished = loop_of.size, loop_of.unfinished
+    chunk, *few = (min(size, count) for count in CHUNK.get(jax.default_backend(), loop_of.elsewhere))
+    small = few[0] if few else chunk
+    axes = jax.tree.map(lambda k: 0 if k else None, shared)
 
-    def one_tile(order, end, first, size, states):
-        index = jax.lax.dynamic_slice(order, (first,), (size,))
+    def one_chunk(order, end, first, length, states):
+        index = jax.lax.dynamic_slice(order, (first,), (length,))
         entries = lambda v, k: v[(index // k) % v.shape[0]] if k else v  # noqa: E731
-        fixed = jax.tree.map(entries, arrays, every)
-        new = jax.vmap(step, in_axes=(axes, 0))(fixed, jax.tree.map(lambda v: entries(v, 1), states))
-        goes_on = first + jnp.arange(size) < end
-        to = jnp.where(goes_on, index, lanes)  # out of bounds: never written
+        fixed = jax.tree.map(entries, arrays, shared)
+        new = jax.vmap(loop_of.step, in_axes=(axes, 0))(fixed, jax.tree.map(lambda v: entries(v, 1), states))
+        continues = first + jnp.arange(length) < end
+        to = jnp.where(continues, index, size)  # out of bounds: never written
         return jax.tree.map(lambda v, part: v.at[to].set(part, mode="drop"), states, new)
 
-    def tiles(order, first, end, size, states):
-        """Those of a size from the first to the end in an order."""
-        count = (end - first + size - 1) // size
+    def chunks(order, first, end, length, states):
+        """Chunks of one length, from the first to the end in an order."""
+        count = (end - first + length - 1) // length
         return jax.lax.fori_loop(
-            0, count, lambda i, s: one_tile(order, end, first + i * size, size, s), states
+            0, count, lambda i, s: one_chunk(order, end, first + i * length, length, s), states
         )
 
     def one_round(states):
-        going = jax.vmap(unfinished)(states)
-        # behind those that go on are those that have ended
-        order = jnp.pad(jnp.argsort(~going, stable=True), (0, -lanes % tile + small), mode="edge")
-        count = jnp.sum(going)
-        if small == tile:
-            return tiles(order, 0, count, tile, states)
-        rest = count % tile
+        active = jax.vmap(unfinished)(states)
+        # finished elements come after the unfinished ones
+        order = jnp.pad(jnp.argsort(~active, stable=True), (0, -size % chunk + small), mode="edge")
+        count = jnp.sum(active)
+        if small == chunk:
+            return chunks(order, 0, count, chunk, states)
+        rest = count % chunk
         large = jnp.where(rest <= FEW * small, count - rest, count)
-        return tiles(order, large, count, small, tiles(order, 0, large, tile, states))
+        return chunks(order, large, count, small, chunks(order, 0, large, chunk, states))
 
     return jax.lax.while_loop(lambda s: jnp.any(jax.vmap(unfinished)(s)), one_round, states)

@@ -1,4 +1,4 @@
-"""What derivatives by the implicit function theorem share: they are of first order, and end in a linear system."""
+"""Derivatives by the implicit function theorem: of first order, each by one linear system."""
 
 from collections.abc import Callable
 from typing import TypeVar
@@ -23,7 +23,7 @@ def symmetric_solve(
         solve: its inverse's product; need not be linear to the last bit, nor finite where it is not defined.
         right: the right-hand side.
         defined: whether there is a solution. If not, it is NaN, and zero for a right-hand side of zeros, so that a
-            lane can be masked.
+            batch element can be masked.
 
     Example:
         >>> import jax, jax.numpy as jnp
@@ -47,13 +47,13 @@ def symmetric_solve(
 
 
 def undefined(right: Float[Array, "_"]) -> Float[Array, "_"]:
-    """What stands for a solution where there is none: NaN, but zero for a right-hand side of zeros."""
+    """The value in place of a missing solution: NaN, but zero for a right-hand side of zeros."""
     return jnp.where(jnp.any(right != 0), jnp.nan, jnp.zeros_like(right))
 
 
 @jax.custom_jvp
 def first_order_only(given: Tree) -> Tree:
-    """What a derivative is being taken of, inside its rule: a second one is an error there, not a wrong number."""
+    """The argument of a derivative rule: to differentiate the rule again is an error, not a wrong number."""
     return given
 
 

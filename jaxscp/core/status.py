@@ -58,7 +58,7 @@ class Status(eqx.Enumeration):
         "No flight was found that keeps a constraint that is not convex: virtual buffer remains. Likely causes: "
         "keep-out zones block the corridor, or the guess passes them on the wrong side."
     )
-    refuted = (
+    verification_failed = (
         "The solver met its tolerances, but the independent certificate disagrees: see its report for "
         "which check failed."
     )
@@ -78,7 +78,7 @@ _NAMES = (
     "numerical_error",
     "dynamics_unmet",
     "constraints_unmet",
-    "refuted",
+    "verification_failed",
     "invalid_input",
 )
 

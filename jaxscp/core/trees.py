@@ -1,4 +1,7 @@
-"""Vector arithmetic on pytrees."""
+"""Vector arithmetic on pytrees, and the names of their leaves."""
+
+from collections.abc import Iterator
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -25,3 +28,9 @@ def tree_negated(a):
 def tree_max(a) -> Scalar:
     """Largest absolute entry of a pytree."""
     return jnp.max(jnp.stack([jnp.max(jnp.abs(x), initial=0.0) for x in jax.tree.leaves(a)]))
+
+
+def named_leaves(tree: Any) -> Iterator[tuple[str, Any]]:
+    """Leaves of a pytree, with the names that users know them by: ``airframe.body.mass``, say."""
+    for path, leaf in jax.tree_util.tree_leaves_with_path(tree):
+        yield jax.tree_util.keystr(path).lstrip("."), leaf

@@ -1,16 +1,12 @@
 """The vocabulary of array axes, used in every annotation.
 
-=============  ===============================================================
-axis           meaning
-=============  ===============================================================
-``nodes``      N points in scaled time tau in [0, 1]
-``intervals``  N - 1 stretches between neighbouring nodes
-``states``     physical states of the vehicle (13 for a rigid body)
-``controls``   physical controls (rotor thrusts)
-``polytopes``  convex cells of a corridor
-``faces``      half-spaces of one polytope, padded with rows 0.x <= 1
-``rotors``     columns of the thrust and torque maps
-=============  ===============================================================
+    nodes      N points in scaled time tau in [0, 1];
+    intervals  N - 1, between neighbouring nodes;
+    states     physical states of the vehicle (13 for a rigid body);
+    controls   physical controls (rotor thrusts);
+    polytopes  convex cells of a corridor;
+    faces      half-spaces of one polytope, padded with rows 0.x <= 1;
+    rotors     columns of the thrust and torque maps.
 
 All quantities are SI: metres, seconds, kilograms, newtons, radians.
 """

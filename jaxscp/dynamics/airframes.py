@@ -1,5 +1,7 @@
 """Vehicles as data: a rigid body and the limits of its rotors, with the source of every number."""
 
+from typing import Any, NotRequired, TypedDict, Unpack
+
 import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
@@ -20,31 +22,35 @@ class Airframe(eqx.Module):
     thrust_max: Float[Array, "rotors"]
     """Greatest thrust of each rotor in N."""
     radius: Scalar
-    """Half the motor-to-motor diagonal in m: what a safety margin must at least cover."""
+    """Half the motor-to-motor diagonal in m: the least safety margin."""
 
 
-def multirotor(
-    *,
-    mass: Scalar | float,
-    inertia,
-    arm: Scalar | float,
-    torque_ratio: Scalar | float,
-    thrust_min: Scalar | float,
-    thrust_max: Scalar | float,
-    rotors: int = 4,
-    tilt: Scalar | float = 0.0,
-) -> Airframe:
+class MultirotorNumbers(TypedDict):
+    """Keyword arguments of ``multirotor``."""
+
+    mass: Scalar | float
+    inertia: Any
+    arm: Scalar | float
+    torque_ratio: Scalar | float
+    thrust_min: Scalar | float
+    thrust_max: Scalar | float
+    rotors: NotRequired[int]
+    tilt: NotRequired[Scalar | float]
+
+
+def multirotor(**numbers: Unpack[MultirotorNumbers]) -> Airframe:
     """Rotors on a circle, the first at 45 degrees (quadrotor) or half a spacing, spinning alternately.
 
     Args:
-        mass: kg.
-        inertia: kg m^2, three principal moments or a 3 x 3 matrix.
-        arm: distance of the rotors from the centre in m.
-        torque_ratio: drag torque per thrust (kappa) in m.
-        thrust_min: N for each rotor.
-        thrust_max: N for each rotor.
-        rotors: number of rotors.
-        tilt: angle in radians by which each rotor leans about its arm, alternately left and right.
+        numbers: keyword arguments, as follows.
+            mass: kg.
+            inertia: kg m^2, three principal moments or a 3 x 3 matrix.
+            arm: distance of the rotors from the centre in m.
+            torque_ratio: drag torque per thrust (kappa) in m.
+            thrust_min: N for each rotor.
+            thrust_max: N for each rotor.
+            rotors: number of rotors, four by default.
+            tilt: angle in radians by which each rotor leans about its arm, alternately left and right; zero by default.
 
     Returns:
         The airframe; body x points forward, y left, z up.
@@ -56,29 +62,30 @@ def multirotor(
         >>> hexa.body.control_size
         6
     """
-    xp = namespace(mass, inertia, arm, torque_ratio, thrust_min, thrust_max, tilt)
+    xp, rotors, tilt = namespace(numbers), numbers.get("rotors", 4), numbers.get("tilt", 0.0)
+    arm, torque_ratio = numbers["arm"], numbers["torque_ratio"]
     angle = (np.arange(rotors) + 0.5) * 2.0 * np.pi / rotors
     spin = np.where(np.arange(rotors) % 2 == 0, 1.0, -1.0)
     position = arm * np.stack([np.cos(angle), np.sin(angle), np.zeros(rotors)])
     sideways = np.stack([-np.sin(angle), np.cos(angle), np.zeros(rotors)])
     axis = xp.sin(spin * tilt) * sideways + xp.cos(tilt) * np.array([[0.0], [0.0], [1.0]])
     torque = xp.cross(position, axis, axis=0) + torque_ratio * spin * axis
-    inertia = xp.asarray(inertia, float)
+    inertia = xp.asarray(numbers["inertia"], float)
     body = RigidBody(
-        mass=floats(mass),
+        mass=floats(numbers["mass"]),
         inertia=floats(xp.diag(inertia) if inertia.ndim == 1 else inertia),
         thrust_map=floats(axis),
         torque_map=floats(torque),
         gravity=floats([0.0, 0.0, -GRAVITY]),
     )
-    least, most = (floats(xp.full(rotors, limit)) for limit in (thrust_min, thrust_max))
+    least, most = (floats(xp.full(rotors, limit)) for limit in (numbers["thrust_min"], numbers["thrust_max"]))
     return Airframe(body, least, most, floats(arm))
 
 
 def paper_mav() -> Airframe:
     """The paper's micro aerial vehicle: 0.928 kg, 15.2 cm diagonal (so arms of 7.6 cm).
 
-    The paper gives neither inertia nor limits. Inertia: diag(2.5, 2.1, 4.3) g m^2, that of like vehicles of
+    The paper gives neither inertia nor limits. Inertia: diag(2.5, 2.1, 4.3) g m^2, as of similar vehicles of
     this mass with a centred battery. Thrust 0.3 to 5 N a rotor: a thrust-to-weight ratio of 2.2, and rotors
     that never stop. Drag torque ratio 0.016 m, common for 3-inch propellers.
     """
@@ -107,7 +114,7 @@ def crazyflie2() -> Airframe:
     """Bitcraze Crazyflie 2: 27 g, arms of 46 mm.
 
     Mass, inertia and torque ratio as identified by J. Foerster, "System Identification of the Crazyflie 2.0
-    Nano Quadrocopter" (ETH Zurich, 2015); thrust up to 0.15 N a rotor, that of a full battery.
+    Nano Quadrocopter" (ETH Zurich, 2015); thrust up to 0.15 N a rotor, with a full battery.
     """
     return multirotor(
         mass=0.027,

@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 
 
 class Dynamics(eqx.Module):
-    """What a vehicle's equations of motion must provide. They do not depend on time."""
+    """Equations of motion, which do not depend on time."""
 
     @property
     @abc.abstractmethod

@@ -10,9 +10,8 @@ from jaxscp.core.types import Quaternion, Scalar, Vector3
 def rotation_matrix(q: Quaternion) -> Float[Array, "3 3"]:
     """R(q): columns are the body axes in world coordinates.
 
-    A polynomial, so that linearisation needs no division; a rotation for unit quaternions only. Of the forms
-    that agree there, this one does not lengthen with |q|: a small drift of the norm, which linearised steps
-    make to second order, then leaves a level vehicle's thrust unchanged.
+    A polynomial, so that linearisation needs no division; a rotation for unit quaternions only. Linearised steps let
+    the norm drift to second order. In this form such a drift does not change a level vehicle's thrust.
 
     Example:
         >>> import jax.numpy as jnp
@@ -49,8 +48,8 @@ def quaternion_rate(q: Quaternion, body_rate: Vector3) -> Quaternion:
 def attitude_error(q: Quaternion, target: Quaternion) -> Vector3:
     """Vector part of the rotation from target to q: half the rotation vector in radians, to first order.
 
-    Three numbers, not four: the flow keeps |q|, so a fourth constraint on it would be degenerate. The sign is
-    that of the nearer of the two quaternions that stand for one attitude.
+    Three numbers, not four: the dynamics keep |q|, so that a fourth constraint would be degenerate. Of the two
+    quaternions of one attitude, the nearer one gives the sign.
     """
     error = multiply(conjugate(target), q)
     return jnp.where(error[0] < 0, -error[1:], error[1:])

@@ -1,4 +1,4 @@
-"""Which part of the corridor each interval belongs to, and which node each gate."""
+"""Polytope of every interval, and node of every gate."""
 
 import jax
 import jax.numpy as jnp
@@ -8,21 +8,23 @@ from jaxscp.core.types import Points, Vector3
 from jaxscp.corridor.polytopes import Corridor
 
 LANDING = 5  # intervals, the last ones, that lie in the landing cone
-IN_LAST = LANDING + 1  # intervals in the last polytope: the others may not reach the cone, so one leads there
+IN_LAST = (
+    LANDING + 1
+)  # intervals in the last polytope: one leads to the cone, which other polytopes may not reach
 
 
 def allocate(corridor: Corridor, start: Vector3, goal: Vector3, nodes: int) -> Int[Array, "intervals"]:
-    """Polytope of every interval: shares by the length of the route start, joints, goal; at least one each, and
-    the last what a landing takes, where there are intervals enough.
+    """Polytope of every interval, by the lengths of the route from start over the joints to the goal.
 
-    The time dilation adapts the mesh afterwards (Remark 1 of the paper).
+    Every polytope gets one interval at least, and the last one as many as a landing needs, if there are enough. The
+    time dilation adapts the mesh afterwards (Remark 1 of the paper).
     """
     route = jnp.concatenate([start[None], corridor.joints, goal[None]])
     length = jnp.cumsum(jnp.linalg.norm(jnp.diff(route, axis=0), axis=1))
     spare = nodes - 1 - corridor.count
-    share = length[:-1] / jnp.maximum(length[-1], 1e-9)
+    fraction = length[:-1] / jnp.maximum(length[-1], 1e-9)
     least = jnp.arange(1, corridor.count)
-    ends = least + jnp.round(spare * share).astype(int)
+    ends = least + jnp.round(spare * fraction).astype(int)
     ends = jnp.maximum(jnp.minimum(ends, nodes - 1 - IN_LAST - least[::-1] + 1), least)
     return jnp.searchsorted(ends, jnp.arange(nodes - 1), side="right", method="compare_all").astype(int)
 
@@ -35,20 +37,20 @@ def route_positions(
     intervals = jnp.arange(allocation.shape[0])
     first = jnp.searchsorted(allocation, allocation, side="left", method="compare_all").astype(int)
     last = jnp.searchsorted(allocation, allocation, side="right", method="compare_all").astype(int)
-    share = (intervals - first) / (last - first)
-    points = route[allocation] + share[:, None] * (route[allocation + 1] - route[allocation])
+    fraction = (intervals - first) / (last - first)
+    points = route[allocation] + fraction[:, None] * (route[allocation + 1] - route[allocation])
     return jnp.concatenate([points, goal[None]])
 
 
 def gate_nodes(positions: Points, centres: Float[Array, "gates 3"]) -> Int[Array, "gates"]:
-    """Node of every gate: of those after the last gate's and before the end, the one nearest to it on the route."""
+    """Node of every gate: the nearest on the route, after the node of the gate before and before the end."""
     count, nodes = centres.shape[0], positions.shape[0]
     index = jnp.arange(nodes)
 
     def next_gate(last, gate):
         number, centre = gate
         distance = jnp.linalg.norm(positions - centre, axis=1)
-        open_ = (index > last) & (index < nodes - (count - number))  # leaves nodes for the gates to come
+        open_ = (index > last) & (index < nodes - (count - number))  # leaves nodes for the next gates
         distance: Array = jnp.where(open_, distance, jnp.inf)
         node = jnp.argmin(distance)
         return node, node

@@ -1,13 +1,13 @@
-"""The initial guess: a smooth path through the corridor by the same conic step, and the flight along it.
+"""The guess: a smooth path through the corridor by the conic solver, and the states and controls along it.
 
-As the paper's (equations 25-26) the path is found at a fixed flight time, the corridor held at every node and the
-landing cone at the last ones. The paper's is a double integrator's, of least sum |a_k|, with all its
-acceleration at a few nodes, and the vehicle is level at hover thrust. Here it has a piecewise linear jerk and least
+As in the paper (equations 25-26), the flight time is fixed, the corridor holds at every node, and the landing cone at
+the last ones. The paper's path is a double integrator's of least sum |a_k|: it accelerates at a few nodes only, and the
+vehicle is level at hover thrust. Here the path has a piecewise linear jerk and least
 
-    sum |a_k|^2 + (SMOOTHING t_f)^2 |j_k|^2,
+    sum |a_k|^2 + (SMOOTHING t_f)^2 |j_k|^2.
 
-so that attitudes, body rates and thrusts follow from it (``flatness``). The iterations then begin near a flight, and
-are a fifth fewer.
+Attitudes, body rates and thrusts follow from it (``flatness``). The guess then almost satisfies the dynamics, which
+saves a fifth of the iterations.
 """
 
 import equinox as eqx
@@ -21,17 +21,17 @@ from jaxscp.core.status import StatusCode
 from jaxscp.core.types import Controls, Nodes, Points, Scalar, States, Vector3
 from jaxscp.dynamics import flatness, rotations
 from jaxscp.landing.allocation import route_positions
+from jaxscp.landing.mission import BodyState, Mission
 from jaxscp.landing.problem import in_cone
-from jaxscp.landing.scenario import BodyState, LandingScenario
 
-# A guess needs no more: within a third of the effort along a straight line. Its units do what equilibration would.
+# A guess needs no more: within a third of the effort along a straight line. Its units replace equilibration.
 GUESS_CONIC = InteriorPoint(tolerance=1e-2, refinements=0, equilibration=0)
-GUESS_VIOLATION = 1e-3  # of the route, that such a guess may leave the corridor or the cone by
-GUESS_PRICE = 0.03  # of a flight from rest to rest on a straight line
-SMOOTHING = 0.03  # of the flight time, in which accelerations change
+GUESS_VIOLATION = 1e-3  # of the route's length: allowed violation of the corridor or the cone
+GUESS_COST = 0.03  # of a trajectory from rest to rest on a straight line
+SMOOTHING = 0.03  # fraction of the flight time in which accelerations change
 
-SHARE_OF_THRUST = (
-    0.48  # of what full thrust leaves after hovering: the guess's acceleration, which sets its flight time
+THRUST_FRACTION = (
+    0.48  # of full thrust beyond hovering: gives the guess's acceleration, and so its flight time
 )
 LEAST_ACCELERATION = 0.5  # m/s^2
 LEAST_LENGTH = 0.1  # m, of the unit of length: where start and goal are one
@@ -40,21 +40,21 @@ VARIABLES = 12  # of a node: position, velocity, acceleration and jerk
 
 
 class Guess(eqx.Module):
-    """Where the iterations start."""
+    """States, controls and dilation to start from."""
 
     states: States
     controls: Controls
     dilation: Nodes
     status: StatusCode
-    """How the guess's own conic program ended."""
+    """Status of the guess's conic program."""
 
 
-def initial_guess(scenario: LandingScenario, allocation: Int[Array, "intervals"]) -> Guess:
-    """Guess a flight through the corridor.
+def initial_guess(scenario: Mission, allocation: Int[Array, "intervals"]) -> Guess:
+    """Guess a trajectory through the corridor.
 
     Args:
-        scenario: what to fly.
-        allocation: polytope of every interval; node k obeys that of interval k.
+        scenario: to plan.
+        allocation: polytope of every interval; node k has the polytope of interval k.
 
     Returns:
         States, controls and dilation at the nodes; positions are along the route itself if the program fails.
@@ -69,14 +69,14 @@ def initial_guess(scenario: LandingScenario, allocation: Int[Array, "intervals"]
     solved = jnp.all(jnp.isfinite(solution.z)) & (program.violation(solution.z) < GUESS_VIOLATION)
     still = jnp.zeros_like(straight)
     path = jax.tree.map(lambda a, b: jnp.where(solved, a, b), path, (straight, still, still))
-    states, controls = _flight(scenario, path, duration / allocation.shape[0])
+    states, controls = _states_and_controls(scenario, path, duration / allocation.shape[0])
     return Guess(states, controls, jnp.full((program.nodes,), duration), solution.status)
 
 
-def _flight(
-    scenario: LandingScenario, path: tuple[Points, Points, Points], interval: Scalar
+def _states_and_controls(
+    scenario: Mission, path: tuple[Points, Points, Points], interval: Scalar
 ) -> tuple[States, Controls]:
-    """States and controls of the vehicle on a path of positions, velocities and accelerations; both ends as asked."""
+    """States and controls along a path of positions, velocities and accelerations; both ends as the mission says."""
     position, velocity, acceleration = path
     nodes, airframe = position.shape[0], scenario.airframe
     start, goal = scenario.start, scenario.goal
@@ -93,12 +93,12 @@ def _flight(
 
 
 class Units(eqx.Module):
-    """What the guess's program is measured in, so that its solution takes as few Newton steps at any scale."""
+    """Units of the guess's program: its solution takes as few Newton steps at any scale."""
 
     origin: Vector3
     """The goal, m."""
     length: Scalar
-    """That of the route, m."""
+    """Length of the route, m."""
     time: Scalar
     """Two intervals, s."""
 
@@ -113,44 +113,42 @@ class Units(eqx.Module):
         return self.speed / self.time
 
     def of_path(self, z: Float[Array, "nodes 12"]) -> tuple[Points, Points, Points]:
-        """Positions, velocities and accelerations in the world, of the program's variables."""
+        """Positions, velocities and accelerations in the world, from the program's variables."""
         position, velocity, acceleration, _ = jnp.split(z, 4, axis=1)
         return self.origin + self.length * position, self.speed * velocity, self.acceleration * acceleration
 
-    def end(self, scenario: LandingScenario, state: BodyState) -> Float[Array, "9"]:
-        """Position, velocity and acceleration at an end: what hover thrust makes of the attitude there."""
+    def end(self, scenario: Mission, state: BodyState) -> Float[Array, "9"]:
+        """Position, velocity and acceleration at an end; the acceleration follows from hover thrust at its attitude."""
         body = scenario.airframe.body
         acceleration = body(state.vector(), body.hover_thrust())[3:6]
         position = (state.position - self.origin) / self.length
         return jnp.concatenate([position, state.velocity / self.speed, acceleration / self.acceleration])
 
     @classmethod
-    def of(cls, scenario: LandingScenario, allocation: Int[Array, "intervals"], duration: Scalar) -> "Units":
-        """Units of a flight of a given duration."""
+    def of(cls, scenario: Mission, allocation: Int[Array, "intervals"], duration: Scalar) -> "Units":
+        """Units of a trajectory of a given duration."""
         length = jnp.maximum(_route_length(scenario, allocation), LEAST_LENGTH)
         return cls(scenario.goal.position, length, 2.0 * duration / allocation.shape[0])
 
 
-def guess_time(scenario: LandingScenario, allocation: Int[Array, "intervals"]) -> Scalar:
+def guess_time(scenario: Mission, allocation: Int[Array, "intervals"]) -> Scalar:
     """Flight time of the guess in s: from rest to rest along the route, at a comfortable acceleration."""
     length = _route_length(scenario, allocation)
     body = scenario.airframe.body
     lift = jnp.dot(body.thrust_map[2], scenario.airframe.thrust_max) / body.mass
-    spare = SHARE_OF_THRUST * (lift - jnp.linalg.norm(body.gravity))
+    spare = THRUST_FRACTION * (lift - jnp.linalg.norm(body.gravity))
     duration = 2.0 * jnp.sqrt(length / jnp.maximum(spare, LEAST_ACCELERATION))
     if scenario.limits.speed is not None:
         duration = jnp.maximum(duration, 2.0 * length / scenario.limits.speed)
     return jnp.clip(duration, scenario.dilation_min, scenario.dilation_max)
 
 
-def _route_length(scenario: LandingScenario, allocation: Int[Array, "intervals"]) -> Scalar:
+def _route_length(scenario: Mission, allocation: Int[Array, "intervals"]) -> Scalar:
     route = route_positions(scenario.corridor, scenario.start.position, scenario.goal.position, allocation)
     return jnp.sum(jnp.linalg.norm(jnp.diff(route, axis=0), axis=1))
 
 
-def guess_program(
-    scenario: LandingScenario, allocation: Int[Array, "intervals"], units: Units
-) -> StagedProgram:
+def guess_program(scenario: Mission, allocation: Int[Array, "intervals"], units: Units) -> StagedProgram:
     """The path's program over node variables (position, velocity, acceleration, jerk), in the given units."""
     nodes = allocation.shape[0] + 1
     dtype = scenario.start.position.dtype
@@ -165,7 +163,7 @@ def guess_program(
     cone_matrix = jnp.where(active[:, :, None], -_pad_columns(side, VARIABLES), 0.0)
     cone_offset = jnp.where(active, 0.0, jnp.array([1.0, 0.0, 0.0], dtype))  # the apex is the origin
     return StagedProgram(
-        hessian=jnp.broadcast_to(jnp.diag(_prices(nodes, dtype)), (nodes, VARIABLES, VARIABLES)),
+        hessian=jnp.broadcast_to(jnp.diag(_weights(nodes, dtype)), (nodes, VARIABLES, VARIABLES)),
         gradient=jnp.zeros((nodes, VARIABLES), dtype),
         links=_triple_integrator_links(scenario, units, nodes),
         rows=HalfSpaceRows(_pad_columns(faces, VARIABLES), distances),
@@ -173,16 +171,16 @@ def guess_program(
     )
 
 
-def _prices(nodes: int, dtype) -> Float[Array, "12"]:
-    """Of the variables' squares, halved, in units of the route and of two intervals."""
+def _weights(nodes: int, dtype) -> Float[Array, "12"]:
+    """Weights of the variables' squares, halved, in units of the route and of two intervals."""
     duration = 0.5 * (nodes - 1)
     effort = nodes * (4.0 / duration**2) ** 2  # from rest to rest along one unit of length
-    acceleration = GUESS_PRICE / effort
+    acceleration = GUESS_COST / effort
     each = jnp.array([0.0, 0.0, acceleration, acceleration * (SMOOTHING * duration) ** 2], dtype)
     return jnp.repeat(2.0 * each, 3)
 
 
-def _triple_integrator_links(scenario: LandingScenario, units: Units, nodes: int) -> CouplingRows:
+def _triple_integrator_links(scenario: Mission, units: Units, nodes: int) -> CouplingRows:
     """Exact first-order hold of the jerk, and both ends fixed in position, velocity and acceleration."""
     h = 0.5  # an interval, in units of two
     eye, none = jnp.eye(3), jnp.zeros((3, 3))
@@ -220,6 +218,6 @@ def _pad_columns(matrix: Float[Array, "*b columns"], columns: int) -> Float[Arra
 def _blend_attitudes(start, goal, nodes: int) -> Float[Array, "nodes 4"]:
     """Normalised linear interpolation along the shorter arc."""
     goal = jnp.where(jnp.dot(start, goal) < 0, -goal, goal)
-    share = jnp.linspace(0.0, 1.0, nodes)[:, None]
-    blend = (1.0 - share) * start + share * goal
+    fraction = jnp.linspace(0.0, 1.0, nodes)[:, None]
+    blend = (1.0 - fraction) * start + fraction * goal
     return jax.vmap(lambda q: q / jnp.maximum(jnp.linalg.norm(q), 1e-9))(blend)

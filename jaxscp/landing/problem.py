@@ -23,11 +23,18 @@ from jaxscp.landing.constraints import (
     within_thrust_rate,
     within_tilt,
 )
-from jaxscp.landing.scenario import LandingScenario, Weights
-from jaxscp.problem.constraint import DISTANCE, AcrossIntervals, AtNodes, Constraint, repeat_over_nodes
+from jaxscp.landing.mission import Mission, Weights
+from jaxscp.problem.constraint import (
+    DISTANCE_TOLERANCE,
+    AcrossIntervals,
+    AtNodes,
+    Constraint,
+    repeat_over_nodes,
+)
+from jaxscp.problem.form import Continuous, Form
 from jaxscp.problem.problem import Boundary, FixedComponents, OptimalControlProblem, fixed_components
 
-SHARE = 1e-3  # of a limit: violation that counts as none
+LIMIT_TOLERANCE = 1e-3  # fraction of a limit: violation that counts as none
 
 
 def effort(state, control, weights: Weights) -> Scalar:
@@ -52,13 +59,13 @@ class Pose(eqx.Module):
     state: Float[Array, "13"]
     """At time zero."""
     velocity: Float[Array, "3"]
-    """m/s, of what the state is relative to."""
+    """m/s, of the frame that the state is relative to."""
     fixed: Float[Array, "12"]
     """One where a component is fixed, zero where it is free."""
 
 
 def same_pose(state, time, p: Pose) -> Float[Array, "12"]:
-    """Each fixed component of position, velocity, attitude and body rate is as asked; the attitude's are three."""
+    """Residual of each fixed component of position, velocity, attitude (three components) and body rate."""
     moved = 0.0 if time is None else p.velocity * time
     position, velocity = state[:3] - (p.state[:3] + moved), state[3:6] - (p.state[3:6] + p.velocity)
     attitude = rotations.attitude_error(state[6:10], p.state[6:10])
@@ -66,60 +73,60 @@ def same_pose(state, time, p: Pose) -> Float[Array, "12"]:
 
 
 def same_pose_unit(state, time, p: Pose) -> Float[Array, "13"]:
-    """``same_pose``, and a quaternion of unit norm, which the flow then keeps: for a start with free attitude."""
+    """``same_pose``, and the norm of the quaternion, which the dynamics then keep: for a start with free attitude."""
     return jnp.append(same_pose(state, time, p), 0.5 * (jnp.sum(state[6:10] ** 2) - 1.0))
 
 
 def landing_problem(
-    scenario: LandingScenario, allocation: Int[Array, "intervals"], published: bool = False
+    mission: Mission,
+    allocation: Int[Array, "intervals"],
+    form: Form = Continuous(),  # noqa: B008
 ) -> OptimalControlProblem:
-    """The scenario as an optimal control problem on len(allocation) + 1 nodes.
+    """The mission as an optimal control problem on len(allocation) + 1 nodes.
 
     Args:
-        scenario: what to fly.
-        allocation: polytope of every interval, see ``allocate``; node k obeys that of interval k.
-        published: whether to state it as the paper does: running cost and time are states, and all four components
-            of the final quaternion are fixed. The flow keeps |q|, so that one of them is implied by the others and
-            multipliers are not unique; otherwise the three components of the attitude's error are zero.
+        mission: to plan.
+        allocation: polytope of every interval, see ``allocate``; node k has the polytope of interval k.
+        form: statement of the problem. By default the final attitude is fixed by the three components of its error.
     """
     nodes = allocation.shape[0] + 1
-    initial, final = _boundaries(scenario, published)
+    initial, final = _boundaries(mission, form)
     return OptimalControlProblem(
-        dynamics=scenario.airframe.body,
+        dynamics=mission.airframe.body,
         running_cost=effort,
         terminal_cost=flight_time,
-        weights=scenario.weights,
+        weights=mission.weights,
         constraints=(
-            *_corridor_and_cone(scenario, allocation),
-            *_flight_limits(scenario, nodes),
-            *_zones(scenario, allocation),
+            *_corridor_and_cone(mission, allocation),
+            *_flight_limits(mission, nodes),
+            *_zones(mission, allocation),
         ),
         initial=initial,
         final=final,
-        dilation_min=scenario.dilation_min,
-        dilation_max=scenario.dilation_max,
+        dilation_min=mission.dilation_min,
+        dilation_max=mission.dilation_max,
         nodes=nodes,
-        carries_cost=published,
-        carries_time=published or scenario.deck_velocity is not None,
+        carries_cost=form.carries_cost,
+        carries_time=form.carries_time or mission.deck_velocity is not None,
     )
 
 
-def _boundaries(s: LandingScenario, published: bool) -> tuple[Boundary, Boundary]:
+def _boundaries(s: Mission, form: Form) -> tuple[Boundary, Boundary]:
     start, goal = s.start.vector(), s.goal.vector()
-    # q and -q are one attitude: ask for the one that the start's is nearer to.
+    # q and -q are one attitude: take the one nearer to the start's.
     goal = goal.at[6:10].multiply(jnp.where(jnp.dot(start[6:10], goal[6:10]) < 0, -1.0, 1.0))
     everything, still = jnp.ones(13, goal.dtype), jnp.zeros(3, goal.dtype)
     initial = Boundary(fixed_components, FixedComponents(start, everything))
     if s.start_fixed is not None:
         initial = Boundary(same_pose_unit, Pose(start, still, s.start_fixed.vector()))
-    if published and s.goal_fixed is None and s.deck_velocity is None:
+    if form.fixes_unit_norm and s.goal_fixed is None and s.deck_velocity is None:
         return initial, Boundary(fixed_components, FixedComponents(goal, everything))
     deck = still if s.deck_velocity is None else s.deck_velocity
     which = everything[:12] if s.goal_fixed is None else s.goal_fixed.vector()
     return initial, Boundary(same_pose, Pose(goal, deck, which))
 
 
-def _corridor_and_cone(s: LandingScenario, allocation: Int[Array, "intervals"]):
+def _corridor_and_cone(s: Mission, allocation: Int[Array, "intervals"]):
     nodes = allocation.shape[0] + 1
     cell = jnp.concatenate([allocation, allocation[-1:]])
     faces = HalfSpaces(s.corridor.normals[cell], s.corridor.offsets[cell])
@@ -133,7 +140,7 @@ def _corridor_and_cone(s: LandingScenario, allocation: Int[Array, "intervals"]):
         everywhere,
         "thrust",
         AtNodes(),
-        allowed=SHARE * jnp.min(high - low),
+        allowed=LIMIT_TOLERANCE * jnp.min(high - low),
     )
     velocity = jnp.zeros_like(s.goal.position) if s.deck_velocity is None else s.deck_velocity
     axes = rotations.rotation_matrix(s.goal.attitude)
@@ -143,12 +150,16 @@ def _corridor_and_cone(s: LandingScenario, allocation: Int[Array, "intervals"]):
     )
 
 
-def _flight_limits(s: LandingScenario, nodes: int):
+def _flight_limits(s: Mission, nodes: int):
     everywhere = jnp.ones(nodes, bool)
     for name, function, allowed in (
-        ("speed", within_speed, lambda limit: SHARE * limit),
-        ("tilt", within_tilt, lambda limit: jnp.sin(0.5 * (1.0 + SHARE) * limit) - jnp.sin(0.5 * limit)),
-        ("body_rate", within_body_rate, lambda limit: SHARE * limit),
+        ("speed", within_speed, lambda limit: LIMIT_TOLERANCE * limit),
+        (
+            "tilt",
+            within_tilt,
+            lambda limit: jnp.sin(0.5 * (1.0 + LIMIT_TOLERANCE) * limit) - jnp.sin(0.5 * limit),
+        ),
+        ("body_rate", within_body_rate, lambda limit: LIMIT_TOLERANCE * limit),
     ):
         limit = getattr(s.limits, name)
         if limit is not None:
@@ -168,11 +179,11 @@ def _flight_limits(s: LandingScenario, nodes: int):
             everywhere,
             "thrust rate",
             AcrossIntervals(),
-            allowed=SHARE * s.dilation_min,
+            allowed=LIMIT_TOLERANCE * s.dilation_min,
         )
 
 
-def _zones(s: LandingScenario, allocation: Int[Array, "intervals"]):
+def _zones(s: Mission, allocation: Int[Array, "intervals"]):
     nodes = allocation.shape[0] + 1
     if s.keep_out is not None:
         zones = repeat_over_nodes(Zones(s.keep_out.centres, s.keep_out.shapes), nodes)
@@ -183,7 +194,7 @@ def _zones(s: LandingScenario, allocation: Int[Array, "intervals"]):
             jnp.ones(nodes, bool),
             "keep-out",
             convex=False,
-            allowed=DISTANCE,
+            allowed=DISTANCE_TOLERANCE,
         )
     if s.gates is not None:
         route = route_positions(s.corridor, s.start.position, s.goal.position, allocation)
@@ -197,5 +208,5 @@ def _zones(s: LandingScenario, allocation: Int[Array, "intervals"]):
                 jnp.arange(nodes) == chosen[number],
                 f"gate {number + 1}",
                 AtNodes(),
-                allowed=DISTANCE * jnp.max(jnp.linalg.norm(gate.shapes, axis=1)),
+                allowed=DISTANCE_TOLERANCE * jnp.max(jnp.linalg.norm(gate.shapes, axis=1)),
             )

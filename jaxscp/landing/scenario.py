@@ -1,144 +1,25 @@
-"""What is asked, as data: a landing scenario and its parts. Every number that a study may vary is a leaf.
-
-Optional parts (limits, keep-out zones, gates, a moving deck, free components) are ``None`` unless asked for, and
-then cost nothing.
-"""
+"""A landing scenario: a mission with the interface that a planner needs."""
 
 import equinox as eqx
-import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Float
+import jax
+from jaxtyping import Array, Int
 
-from jaxscp.core.arrays import floats, namespace
-from jaxscp.core.types import Points, Quaternion, Scalar, Vector3
-from jaxscp.corridor.polytopes import Corridor
-from jaxscp.dynamics import rotations
-from jaxscp.dynamics.airframes import Airframe
+from jaxscp.core.types import Flag
+from jaxscp.landing.allocation import allocate
+from jaxscp.landing.guess import initial_guess
+from jaxscp.landing.mission import Mission
+from jaxscp.landing.problem import landing_problem
+from jaxscp.landing.validation import check_types, valid, validate
+from jaxscp.problem.form import Form
+from jaxscp.problem.problem import OptimalControlProblem, node_times
+from jaxscp.problem.trajectory import Trajectory
 
-
-class BodyState(eqx.Module):
-    """Position, velocity, attitude and body rate of a vehicle."""
-
-    position: Vector3
-    """m, world."""
-    velocity: Vector3
-    """m/s, world."""
-    attitude: Quaternion
-    """(w, x, y, z), body to world, unit norm."""
-    body_rate: Vector3
-    """rad/s, body."""
-
-    def vector(self) -> Float[Array, "13"]:
-        """The 13 states in order."""
-        return jnp.concatenate([self.position, self.velocity, self.attitude, self.body_rate])
+Allocation = Int[Array, "intervals"]
+"""Polytope of every interval."""
 
 
-def at_rest(position, yaw: Scalar | float = 0.0) -> BodyState:
-    """Level and at rest at a position in m, heading ``yaw`` radians.
-
-    Example:
-        >>> import jaxscp
-        >>> jaxscp.at_rest([1.0, 2.0, 3.0]).vector().shape
-        (13,)
-    """
-    zero = floats(np.zeros(3))
-    return BodyState(floats(position), zero, rotations.from_yaw(yaw), zero)
-
-
-class Components(eqx.Module):
-    """Which components of a ``BodyState`` are fixed: one where fixed, zero where free; (3,) each."""
-
-    position: Vector3
-    velocity: Vector3
-    attitude: Vector3
-    """By the three components of the rotation from the state asked for, in its own axes: roll, pitch, yaw."""
-    body_rate: Vector3
-
-    def vector(self) -> Float[Array, "12"]:
-        """The 12 components in order."""
-        return jnp.concatenate([self.position, self.velocity, self.attitude, self.body_rate])
-
-
-def fixed(*, position=1.0, velocity=1.0, attitude=1.0, body_rate=1.0) -> Components:
-    """Components that are fixed; each argument is a number for all three or three numbers.
-
-    Example:
-        >>> import jaxscp
-        >>> jaxscp.fixed(attitude=[1, 1, 0]).attitude.tolist()  # any heading
-        [1.0, 1.0, 0.0]
-    """
-    values = (position, velocity, attitude, body_rate)
-    xp = namespace(values)
-    three = [jnp.asarray(xp.broadcast_to(xp.asarray(v, float), (3,))) for v in values]
-    return Components(*three)
-
-
-class Weights(eqx.Module):
-    """Weights of the cost: control effort w_u and flight time w_t (equation 8, Table I)."""
-
-    control: Scalar
-    time: Scalar
-
-
-class FlightLimits(eqx.Module):
-    """Limits on the state of the flight and on the rotors' rates; None where there is none.
-
-    Example:
-        >>> import jaxscp
-        >>> jaxscp.flight_limits(speed=4.0, tilt=0.6).body_rate is None
-        True
-    """
-
-    speed: Scalar | None = None
-    """m/s"""
-    tilt: Scalar | None = None
-    """rad, between the body's z axis and the vertical; below pi."""
-    body_rate: Scalar | None = None
-    """rad/s, norm of the body rate."""
-    thrust_rate: Scalar | None = None
-    """N/s, of every rotor."""
-
-
-def flight_limits(*, speed=None, tilt=None, body_rate=None, thrust_rate=None) -> FlightLimits:
-    """``FlightLimits`` from plain numbers."""
-    numbers = (speed, tilt, body_rate, thrust_rate)
-    return FlightLimits(*(None if v is None else floats(v) for v in numbers))
-
-
-class Ellipsoids(eqx.Module):
-    """Ellipsoids {p : |shape (p - centre)| <= 1}."""
-
-    centres: Float[Array, "count 3"]
-    """m"""
-    shapes: Float[Array, "count 3 3"]
-    """1/m; rows are the axes, each divided by its semi-axis."""
-
-
-def ellipsoids(centres, semi_axes) -> Ellipsoids:
-    """Ellipsoids with axes along the world's; balls, where each has one number.
-
-    Args:
-        centres: (count, 3) in m.
-        semi_axes: (count, 3) or, for balls, (count,) or one number; in m.
-
-    Example:
-        >>> import jaxscp
-        >>> jaxscp.ellipsoids([[0.0, 0.0, 1.0]], 0.5).shapes[0].diagonal().tolist()
-        [2.0, 2.0, 2.0]
-    """
-    xp = namespace(centres, semi_axes)
-    centres = xp.atleast_2d(xp.asarray(centres, float))
-    semi_axes = xp.asarray(semi_axes, float)
-    if semi_axes.ndim < 2:
-        semi_axes = xp.broadcast_to(semi_axes, centres.shape[:1])[:, None]
-    semi_axes = xp.broadcast_to(semi_axes, centres.shape)
-    with np.errstate(divide="ignore"):  # ``validate`` names what is wrong
-        shapes = np.eye(3) / semi_axes[:, None, :]
-    return Ellipsoids(jnp.asarray(centres), jnp.asarray(shapes))
-
-
-class LandingScenario(eqx.Module):
-    """Everything that a Monte Carlo study may vary, as one pytree; every float is a leaf.
+class LandingScenario(Mission):
+    """All data of a landing as one pytree; every float is a leaf that a study may vary.
 
     Example:
         >>> import dataclasses, jaxscp
@@ -148,39 +29,42 @@ class LandingScenario(eqx.Module):
         >>> slow = dataclasses.replace(scenario, limits=jaxscp.flight_limits(speed=3.0))
     """
 
-    airframe: Airframe
-    start: BodyState
-    goal: BodyState
-    """On the deck: with a moving deck, where it is at time zero, and velocity relative to it. The landing cone
-    stands on the goal's own x-y plane, so that a tilted goal is a tilted deck."""
-    corridor: Corridor
-    cone_angle: Scalar
-    """gamma_c in radians: angle of the landing cone's side above the deck; pi/4 in the paper."""
-    weights: Weights
-    dilation_min: Scalar
-    """Least dt/dtau in s: bounds the flight time and every part of the mesh."""
-    dilation_max: Scalar
-    """Greatest dt/dtau in s."""
-    obstacles: Points | None = None
-    """Point cloud in m that the corridor avoids, for pictures and for checks; the solver does not read it."""
-    limits: FlightLimits = FlightLimits()
-    keep_out: Ellipsoids | None = None
-    """Zones to stay out of."""
-    gates: Ellipsoids | None = None
-    """Zones to pass through, in this order, each at a time of the planner's choice: way-points and gates."""
-    deck_velocity: Vector3 | None = None
-    """m/s, world; None for a deck at rest."""
-    start_fixed: Components | None = None
-    """None: all."""
-    goal_fixed: Components | None = None
-    """None: all."""
+    def check(self, nodes: int) -> None:
+        """Raise ``InvalidScenario`` if the scenario contradicts itself.
 
-    def goal_at(self, time: Scalar) -> BodyState:
-        """The goal in the world at a time in s."""
-        if self.deck_velocity is None:
-            return self.goal
-        here, velocity = (
-            self.goal.position + self.deck_velocity * time,
-            self.goal.velocity + self.deck_velocity,
-        )
-        return BodyState(here, velocity, self.goal.attitude, self.goal.body_rate)
+        Leaves may be ``jax.ShapeDtypeStruct``: then shapes and dtypes are checked, and no values.
+        """
+        if any(isinstance(leaf, jax.ShapeDtypeStruct) for leaf in jax.tree.leaves(self)):
+            check_types(self, nodes)
+        else:
+            validate(self, nodes)
+
+    def valid(self) -> Flag:
+        """Whether the scenario is valid, as an array: for elements of a batch."""
+        return valid(self)
+
+    def solver_inputs(self) -> "LandingScenario":
+        """The scenario without its obstacles, which no solver reads: any number of them shares one program."""
+        if self.obstacles is None:
+            return self
+        return eqx.tree_at(lambda s: s.obstacles, self, None)
+
+    def problem(
+        self, nodes: int, form: Form, context: Allocation | None = None
+    ) -> tuple[OptimalControlProblem, Allocation]:
+        """The optimal control problem, and the polytope of every interval.
+
+        Args:
+            nodes: N.
+            form: statement that the method solves.
+            context: allocation to use again, in a re-plan.
+        """
+        if context is None:
+            frozen = jax.lax.stop_gradient(self)  # the allocation is no differentiable function
+            context = allocate(frozen.corridor, frozen.start.position, frozen.goal.position, nodes)
+        return landing_problem(self, context, form), context
+
+    def guess(self, problem: OptimalControlProblem, context: Allocation) -> Trajectory:
+        """A smooth trajectory through the corridor, without derivatives."""
+        guess = initial_guess(jax.lax.stop_gradient(self), context)
+        return Trajectory(node_times(guess.dilation), guess.states, guess.controls, guess.dilation)

@@ -10,7 +10,8 @@ from jaxscp.core.arrays import floats
 from jaxscp.core.types import Points
 from jaxscp.corridor.polytopes import Corridor, box, connect
 from jaxscp.dynamics.airframes import paper_mav
-from jaxscp.landing.scenario import BodyState, LandingScenario, Weights, at_rest
+from jaxscp.landing.mission import BodyState, Weights, at_rest
+from jaxscp.landing.scenario import LandingScenario
 
 _SPACING = 0.15  # m between obstacle points
 

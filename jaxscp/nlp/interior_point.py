@@ -1,10 +1,10 @@
-"""From a point near the optimum to a point of the central path: a primal-dual interior point on the nonlinear problem.
+"""Primal-dual interior point on the nonlinear problem: from a point near the optimum to a point of the central path.
 
-Newton's method on the conditions of ``central_path`` with slacks s = g(z) and multipliers y of their own, s o y = mu e,
-in Nesterov-Todd scaling; mu falls as the iterates follow (Waechter and Biegler, "On the implementation of an
-interior-point filter line-search algorithm for large-scale nonlinear programming", 2006, without its line search: what
-the convex subproblems lead to is near enough). One factorisation an iteration, and second derivatives throughout:
-the end is quadratic, where that of the subproblems is not.
+Newton's method on the conditions of ``central_path`` with slacks s = g(z) and multipliers y, s o y = mu e, in
+Nesterov-Todd scaling. mu falls as the iterates follow the path (Waechter and Biegler, "On the implementation of an
+interior-point filter line-search algorithm for large-scale nonlinear programming", 2006). There is no line search: the
+convex subproblems lead near enough. Each iteration factors one matrix and uses second derivatives. So convergence is
+quadratic; the subproblems alone converge more slowly.
 """
 
 import equinox as eqx
@@ -12,30 +12,30 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxscp.cones import product as second_order
-from jaxscp.cones.cone import Cone, SecondOrder
 from jaxscp.core import batching
 from jaxscp.core.types import Count, Flag, Scalar
 from jaxscp.linalg import riccati
-from jaxscp.nlp.central_path import MU, ROOM, inverse
-from jaxscp.nlp.newton_system import SecondOrderModel, along, local, newton_chain, scaled, scalings, weighed
+from jaxscp.nlp.central_path import MU, RELAXATION
+from jaxscp.nlp.newton_system import (
+    EliminatedInequalities,
+    Scalings,
+    SecondOrderModel,
+    eliminate_inequalities,
+    jacobian_product,
+    newton_matrix,
+    scaled,
+    scalings,
+    second_order_model,
+)
 from jaxscp.problem.multipliers import Multipliers
-from jaxscp.problem.problem import (
-    OptimalControlProblem,
-    typical_sizes,
-)
-from jaxscp.transcription.inequalities import (
-    Values,
-    cones,
-    inequalities,
-    unit,
-)
+from jaxscp.problem.problem import OptimalControlProblem, typical_sizes
+from jaxscp.transcription.inequalities import Values, cones, inequalities
 from jaxscp.transcription.shooting import Grid, evaluate
 
-TO_BOUNDARY = 0.99  # share of the way to the cone's boundary that a step may go
-FOLLOWED = 300.0  # times mu: error of the conditions, from which down the path is near enough for mu to fall
-LONGEST = 0.3  # of a variable's typical size, that a step may change it by
-LEAST_SHIFT, GROWTH, MOST_SHIFT = 1e-4, 8.0, 1e4  # of the diagonal where the second-order condition fails
+FRACTION_TO_BOUNDARY = 0.99  # of the way to the cone's boundary that a step may take
+BARRIER_TOLERANCE_FACTOR = 300.0  # times mu: residual below which mu may fall
+MAX_STEP = 0.3  # largest step of a variable, in its typical size
+LEAST_CORRECTION, GROWTH, MOST_CORRECTION = 1e-4, 8.0, 1e4  # of the diagonal, where the matrix is indefinite
 
 
 class Iterate(eqx.Module):
@@ -45,33 +45,33 @@ class Iterate(eqx.Module):
     y: Multipliers
     slack: Values
     mu: Scalar
-    shift: Scalar
-    """Added to the (scaled) curvature when last that was needed."""
+    inertia_correction: Scalar
+    """Last nonzero addition to the (scaled) diagonal."""
     error: Scalar
-    """Largest of what the conditions of the point before lack, at the final mu; infinite before that."""
-    moved: Scalar
+    """KKT residual of the previous iterate, at the final mu; infinite before that."""
+    step_norm: Scalar
     """Largest change of a variable by the last step, in typical sizes."""
     steps: Count
-    ended: Flag
+    failed: Flag
     """Whether no step can be taken."""
 
 
 class NLPInteriorPoint(eqx.Module):
-    """Settings of the method.
+    """Settings of the interior point.
 
     Args:
-        first: mu to begin with.
-        last: mu of the answer.
-        tolerance: largest residual of the conditions, in typical sizes of the variables.
-        settled: change of the variables by the last step, in typical sizes: along directions that hardly matter to the
-            cost, the conditions alone would stop too early for derivatives.
+        initial_mu: barrier parameter at the start.
+        final_mu: barrier parameter of the solution.
+        tolerance: largest KKT residual, in typical sizes of the variables.
+        step_tolerance: largest last step, in typical sizes. Along directions that hardly change the cost, the residual
+            alone would stop too early for derivatives.
         max_steps: Newton steps allowed.
     """
 
-    first: float = 1e-3
-    last: float = MU
+    initial_mu: float = 1e-3
+    final_mu: float = MU
     tolerance: float = 1e-8
-    settled: float = 1e-6
+    step_tolerance: float = 1e-6
     max_steps: int = eqx.field(default=80, static=True)
 
     def run(
@@ -80,12 +80,12 @@ class NLPInteriorPoint(eqx.Module):
         z: Float[Array, "nodes variables"],
         y: Multipliers,
         grid: Grid,
-        wanted: Flag | bool = True,
+        enabled: Flag | bool = True,
     ) -> Iterate:
-        """Iterate to the end; not at all for a lane that is not wanted."""
+        """Iterate to the end; a batch element that is not enabled takes no step."""
         scale = typical_sizes(z)
         start = self.init(problem, z, y, grid)
-        start = eqx.tree_at(lambda s: s.ended, start, ~jnp.asarray(wanted))
+        start = eqx.tree_at(lambda s: s.failed, start, ~jnp.asarray(enabled))
 
         def step(fixed, iterate):
             problem, grid, scale = fixed
@@ -93,14 +93,14 @@ class NLPInteriorPoint(eqx.Module):
 
         return batching.while_loop(lambda s: ~self.terminate(s), step, (problem, grid, scale), start)
 
-    def reached(self, iterate: Iterate) -> Flag:
+    def is_optimum(self, iterate: Iterate) -> Flag:
         """Whether an iterate is the optimum."""
         return iterate.error <= self.tolerance
 
     def terminate(self, iterate: Iterate) -> Flag:
         """Whether the loop is over."""
-        settled = self.reached(iterate) & (iterate.moved <= self.settled)
-        return settled | iterate.ended | (iterate.steps >= self.max_steps)
+        converged = self.is_optimum(iterate) & (iterate.step_norm <= self.step_tolerance)
+        return converged | iterate.failed | (iterate.steps >= self.max_steps)
 
     def init(
         self,
@@ -109,127 +109,167 @@ class NLPInteriorPoint(eqx.Module):
         y: Multipliers,
         grid: Grid,
     ) -> Iterate:
-        """Slacks as the point has them, but far enough inside that a multiplier need not exceed the one given."""
-        mu = jnp.asarray(self.first, z.dtype)
-        values = inequalities(problem, z, evaluate(problem, z, grid), ROOM)
+        """First iterate: the slacks of the point, large enough that no multiplier exceeds the given one."""
+        mu = jnp.asarray(self.initial_mu, z.dtype)
+        values = inequalities(problem, z, evaluate(problem, z, grid), RELAXATION)
         slack = tuple(
-            _inside(k, g, mu / jnp.maximum(price, jnp.sqrt(mu)))
-            for k, g, price in zip(cones(problem), values, y.values, strict=True)
+            cone.shift_inside(g, mu / jnp.maximum(multiplier, jnp.sqrt(mu)))
+            for cone, g, multiplier in zip(cones(problem), values, y.values, strict=True)
         )
-        prices = tuple(mu * inverse(k, s) for k, s in zip(cones(problem), slack, strict=True))
-        # The ends' multipliers, like the prices, follow from the rest in the first step.
+        multipliers = tuple(
+            -mu * cone.barrier_gradient(s) for cone, s in zip(cones(problem), slack, strict=True)
+        )
+        # The first step replaces the multipliers of the ends and of the inequalities: they follow from the rest.
         return Iterate(
             z=z,
-            y=Multipliers(y.flow, y.initial, y.final, prices),
+            y=Multipliers(y.flow, y.initial, y.final, multipliers),
             slack=slack,
             mu=mu,
-            shift=jnp.zeros_like(mu),
+            inertia_correction=jnp.zeros_like(mu),
             error=jnp.full_like(mu, jnp.inf),
-            moved=jnp.full_like(mu, jnp.inf),
+            step_norm=jnp.full_like(mu, jnp.inf),
             steps=jnp.zeros((), int),
-            ended=jnp.zeros((), bool),
+            failed=jnp.zeros((), bool),
         )
 
     def step(
         self, problem: OptimalControlProblem, old: Iterate, grid: Grid, scale: Float[Array, "variables"]
     ) -> Iterate:
         """One Newton step."""
-        here = local(problem, old.z, old.y, grid)
-        weigh = scalings(problem, old.slack, old.y.values)
-        inverses = tuple(inverse(k, s) for k, s in zip(cones(problem), old.slack, strict=True))
-        apart = tuple(w.inverse_square(g - s) for w, s, g in zip(weigh, old.slack, here.values, strict=True))
-        condensed = weighed(problem, here.jacobians, weigh, old.y.values, inverses, apart)
-        priced, poles, owed = condensed.sides
-
-        error = _error(problem, old, here, priced, scale)
-        ready = (error <= FOLLOWED * old.mu) & (old.mu > self.last)
-        mu = jnp.where(ready, jnp.maximum(self.last, jnp.minimum(0.2 * old.mu, old.mu**1.5)), old.mu)
-
-        factor, shift = _definite(newton_chain(problem, here, condensed, scale), old.shift)
-        gradient = mu * poles - owed - here.lack.nodes
-        right = riccati.KKTVector(gradient, -here.lack.flow, -here.lack.initial, -here.lack.final)
-        move = scaled(riccati.solve(factor, scaled(right, scale)), scale)
-
-        slopes = along(problem, here.jacobians, move.nodes)
-        dslack = tuple(slope + g - s for slope, g, s in zip(slopes, here.values, old.slack, strict=True))
-        dprices = tuple(
-            mu * pole - y - w.inverse_square(ds)
-            for w, pole, y, ds in zip(weigh, inverses, old.y.values, dslack, strict=True)
+        model = second_order_model(problem, old.z, old.y, grid)
+        pairs = _pairs(problem, old, model)
+        error = _kkt_residual(problem, old, model, pairs, scale)
+        mu = self._next_mu(old.mu, error)
+        factor, correction = _factor_definite(
+            newton_matrix(problem, model, pairs.eliminated, scale), old.inertia_correction
         )
-        dy = Multipliers(move.flow, move.initial, move.final, dprices)
-        size = jnp.max(jnp.abs(move.nodes / scale))
-        primal = jnp.minimum(_longest(problem, old.slack, dslack), LONGEST / jnp.maximum(size, LONGEST))
-        dual = _longest(problem, old.y.values, dprices)
+        step = _direction(problem, old, model, pairs, mu, factor, scale)
 
+        size = jnp.max(jnp.abs(step.z / scale))
+        primal = jnp.minimum(
+            _step_length(problem, old.slack, step.slack), MAX_STEP / jnp.maximum(size, MAX_STEP)
+        )
+        dual = _step_length(problem, old.y.values, step.y.values)
         good = factor.definite & jnp.isfinite(size)
         advance = lambda v, dv, t: jax.tree.map(lambda a, b: jnp.where(good, a + t * b, a), v, dv)  # noqa: E731
         return Iterate(
-            z=advance(old.z, move.nodes, primal),
-            y=advance(old.y, dy, dual),
-            slack=advance(old.slack, dslack, primal),
+            z=advance(old.z, step.z, primal),
+            y=advance(old.y, step.y, dual),
+            slack=advance(old.slack, step.slack, primal),
             mu=mu,
-            shift=shift,
-            error=jnp.where(old.mu <= self.last, error, jnp.inf),
-            moved=primal * size,
+            inertia_correction=correction,
+            error=jnp.where(old.mu <= self.final_mu, error, jnp.inf),
+            step_norm=primal * size,
             steps=old.steps + 1,
-            ended=~good,
+            failed=~good,
         )
 
+    def _next_mu(self, mu: Scalar, error: Scalar) -> Scalar:
+        """The barrier parameter, lowered where the iterate is close to the central path."""
+        ready = (error <= BARRIER_TOLERANCE_FACTOR * mu) & (mu > self.final_mu)
+        return jnp.where(ready, jnp.maximum(self.final_mu, jnp.minimum(0.2 * mu, mu**1.5)), mu)
 
-def _definite(chain: riccati.LQProblem, last: Scalar) -> tuple[riccati.Factor, Scalar]:
-    """Factor the matrix; where the second-order condition fails, with the least shift of a rising few that mends it."""
 
-    def another(carry):
+class _Pairs(eqx.Module):
+    """The slacks and multipliers of all inequalities at an iterate."""
+
+    scalings: Scalings
+    """W."""
+    barrier_gradients: Values
+    """Of the slacks."""
+    eliminated: EliminatedInequalities
+    """With J' times multipliers, barrier gradients and scaled slack residuals W^-2 (g - s)."""
+
+
+def _pairs(problem: OptimalControlProblem, at: Iterate, model: SecondOrderModel) -> _Pairs:
+    w = scalings(problem, at.slack, at.y.values)
+    gradients = tuple(cone.barrier_gradient(s) for cone, s in zip(cones(problem), at.slack, strict=True))
+    residuals = tuple(
+        scaling.inverse_square(g - s) for scaling, s, g in zip(w, at.slack, model.values, strict=True)
+    )
+    eliminated = eliminate_inequalities(problem, model.jacobians, w, at.y.values, gradients, residuals)
+    return _Pairs(w, gradients, eliminated)
+
+
+class _Step(eqx.Module):
+    """A Newton direction."""
+
+    z: Float[Array, "nodes variables"]
+    y: Multipliers
+    slack: Values
+
+
+def _direction(
+    problem: OptimalControlProblem,
+    old: Iterate,
+    model: SecondOrderModel,
+    pairs: _Pairs,
+    mu: Scalar,
+    factor: riccati.Factor,
+    scale: Float[Array, "variables"],
+) -> _Step:
+    """Newton direction towards the central path at mu."""
+    _, barrier, slack_residual = pairs.eliminated.products
+    rhs = model.residual
+    gradient = -mu * barrier - slack_residual - rhs.nodes
+    right = riccati.KKTVector(gradient, -rhs.flow, -rhs.initial, -rhs.final)
+    move = scaled(riccati.solve(factor, scaled(right, scale)), scale)
+    derivatives = jacobian_product(problem, model.jacobians, move.nodes)
+    slack = tuple(d + g - s for d, g, s in zip(derivatives, model.values, old.slack, strict=True))
+    multipliers = tuple(
+        -mu * gradient - y - w.inverse_square(ds)
+        for w, gradient, y, ds in zip(
+            pairs.scalings, pairs.barrier_gradients, old.y.values, slack, strict=True
+        )
+    )
+    return _Step(move.nodes, Multipliers(move.flow, move.initial, move.final, multipliers), slack)
+
+
+def _factor_definite(matrix: riccati.LQProblem, last: Scalar) -> tuple[riccati.Factor, Scalar]:
+    """Factor of the matrix, and the inertia correction used: the least of a rising sequence that makes it definite.
+
+    The correction is zero where the second-order condition holds.
+    """
+
+    def retry(carry):
         _, _, after = carry
-        least = jnp.maximum(LEAST_SHIFT, last / GROWTH)
-        return riccati.factor(chain.shifted(after)), after, jax.lax.select(after > 0, GROWTH * after, least)
+        least = jnp.maximum(LEAST_CORRECTION, last / GROWTH)
+        return (
+            riccati.factor(matrix.shifted(after)),
+            after,
+            jax.lax.select(after > 0, GROWTH * after, least),
+        )
 
     def fails(carry):
-        factor, shift, _ = carry
-        return ~factor.definite & (shift < MOST_SHIFT)
+        factor, correction, _ = carry
+        return ~factor.definite & (correction < MOST_CORRECTION)
 
     none = jnp.zeros_like(last)
-    factor, used, _ = jax.lax.while_loop(fails, another, (riccati.no_factor(chain), none, none))
-    kept: Array = jnp.where(used > 0, used, last)
-    return factor, kept
+    factor, used, _ = jax.lax.while_loop(fails, retry, (riccati.no_factor(matrix), none, none))
+    remembered: Array = jnp.where(used > 0, used, last)
+    return factor, remembered
 
 
-def _error(
+def _kkt_residual(
     problem: OptimalControlProblem,
     at: Iterate,
-    here: SecondOrderModel,
-    priced: Float[Array, "nodes variables"],
+    model: SecondOrderModel,
+    pairs: _Pairs,
     scale: Float[Array, "variables"],
 ) -> Scalar:
-    dual = (here.lack.nodes - priced) * scale
-    apart = [g - s for g, s in zip(here.values, at.slack, strict=True)]
-    pairs = [
-        (second_order.jordan_product(s, y) if isinstance(k, SecondOrder) else s * y)
-        - at.mu * unit(k, s.shape[-1])
-        for k, s, y in zip(cones(problem), at.slack, at.y.values, strict=True)
+    """Largest residual of the optimality conditions at an iterate and its mu."""
+    rhs, (multiplier_product, *_) = model.residual, pairs.eliminated.products
+    dual = (rhs.nodes - multiplier_product) * scale
+    slack_residuals = [g - s for g, s in zip(model.values, at.slack, strict=True)]
+    complementarity = [
+        cone.jordan_product(s, y) - at.mu * cone.identity(s.shape[-1])
+        for cone, s, y in zip(cones(problem), at.slack, at.y.values, strict=True)
     ]
-    parts = [dual, here.lack.flow, here.lack.initial, here.lack.final, *apart, *pairs]
+    parts = [dual, rhs.flow, rhs.initial, rhs.final, *slack_residuals, *complementarity]
     return jnp.max(jnp.stack([jnp.max(jnp.abs(part), initial=0.0) for part in parts]))
 
 
-def _inside(cone: Cone, values: Float[Array, "*b rows"], least: Float[Array, "*b rows"]):
-    """The values, moved in where they have less than ``least`` to the cone's boundary."""
-    if not isinstance(cone, SecondOrder):
-        return jnp.maximum(values, least)
-    norm = jnp.linalg.norm(values[..., 1:], axis=-1)
-    return values.at[..., 0].set(norm + jnp.maximum(values[..., 0] - norm, least[..., 0]))
-
-
-def _longest(problem: OptimalControlProblem, point: Values, direction) -> Scalar:
+def _step_length(problem: OptimalControlProblem, point: Values, direction: Values) -> Scalar:
     """Step, at most one, that keeps a point in the cones."""
-
-    def one(cone: Cone, v: Array, dv: Array) -> Array:
-        if isinstance(cone, SecondOrder):
-            return jnp.min(second_order.step_to_boundary(v, dv))
-        falls = dv < 0.0
-        speed: Array = jnp.where(falls, -dv, 1.0)
-        reach: Array = jnp.where(falls, v / speed, jnp.inf)
-        return jnp.min(reach)
-
-    steps = [one(k, v, dv) for k, v, dv in zip(cones(problem), point, direction, strict=True)]
-    return jnp.minimum(1.0, TO_BOUNDARY * jnp.min(jnp.stack(steps)))
+    steps = [cone.step_length(v, dv) for cone, v, dv in zip(cones(problem), point, direction, strict=True)]
+    return jnp.minimum(1.0, FRACTION_TO_BOUNDARY * jnp.min(jnp.stack(steps)))

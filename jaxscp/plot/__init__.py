@@ -1,4 +1,4 @@
-"""Pictures of a plan: where it flies, how it flies, and how the iterations got there.
+"""Pictures of a plan: its path, its histories, and the convergence of the iterations.
 
 Every function draws on axes that it is given and returns them; ``summary`` makes a figure of its own. Nothing
 here touches pyplot, so that importing and plotting change no global state. Lines between nodes are the flight

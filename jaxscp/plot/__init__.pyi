@@ -5,7 +5,7 @@ from .convergence import draw_residuals as draw_residuals
 from .convergence import history_rows as history_rows
 from .curves import Curves as Curves
 from .curves import corridor_margin as corridor_margin
-from .curves import flown as flown
+from .curves import integrated as integrated
 from .curves import planned as planned
 from .histories import draw_body_rate as draw_body_rate
 from .histories import draw_clearance as draw_clearance

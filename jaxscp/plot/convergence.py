@@ -1,4 +1,4 @@
-"""How the iterations got there."""
+"""Convergence of the iterations."""
 
 from typing import Any
 
@@ -12,7 +12,7 @@ from jaxscp.solver.solution import Solution
 
 
 def draw_convergence(axes: Any, solution: Solution) -> Any:
-    """Cost, flight time, and what should vanish over the iterations, on three axes."""
+    """Cost, flight time, and residuals over the iterations, on three axes."""
     rows = history_rows(solution)
     count = np.arange(1, int(solution.iterations) + 1)
     axes[0].plot(count, rows["cost"], "o-", color=BLUE, markersize=4, linewidth=1.2)
@@ -34,8 +34,8 @@ def draw_convergence(axes: Any, solution: Solution) -> Any:
 
 def draw_residuals(ax: Axes, count: Array, rows: dict[str, Array]) -> Axes:
     """Largest step, virtual control and defect of each iteration, norms over mixed SI units."""
-    styles = {"step": (BLUE, "o"), "virtual": (ORANGE, "s"), "defect": (GREEN, "^")}
-    labels = {"step": "step |Δz|", "virtual": "virtual control |ν|", "defect": "defect"}
+    styles = {"step_norm": (BLUE, "o"), "virtual_control": (ORANGE, "s"), "defect": (GREEN, "^")}
+    labels = {"step_norm": "step |Δz|", "virtual_control": "virtual control |ν|", "defect": "defect"}
     for name, (color, marker) in styles.items():
         value = np.where(rows[name] > 0.0, rows[name], np.nan)  # zero has no logarithm
         ax.plot(count, value, marker + "-", color=color, markersize=4, linewidth=1.2, label=labels[name])

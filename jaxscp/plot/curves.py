@@ -1,4 +1,4 @@
-"""A flight as flat arrays over time, as planned and as flown: what the histories draw."""
+"""A trajectory as flat arrays over time, as planned and as integrated again: the data of the histories."""
 
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ from jaxscp.corridor.polytopes import Corridor
 from jaxscp.landing.problem import landing_problem
 from jaxscp.landing.scenario import LandingScenario
 from jaxscp.solver.solution import Solution
-from jaxscp.verification.rollout import Flight, fly
+from jaxscp.verification.rollout import Rollout, rollout
 
 SAMPLES = 24  # drawn points an interval
 
@@ -19,7 +19,7 @@ Array = np.ndarray
 
 
 class Curves(NamedTuple):
-    """A flight as flat arrays over time: what the histories draw."""
+    """A trajectory as flat arrays over time."""
 
     time: Float[np.ndarray, "points"]
     """s"""
@@ -29,25 +29,25 @@ class Curves(NamedTuple):
     """(points,) index of the corridor polytope in force."""
 
 
-def flown(scenario: LandingScenario, solution: Solution, samples: int = SAMPLES) -> Curves:
-    """The plan's controls flown again from the start, densely between the nodes."""
-    flight = _fly(scenario, solution, samples)
-    flat = jax.tree.map(lambda v: np.asarray(v).reshape(-1, *v.shape[2:]), flight)
-    return Curves(flat.time, flat.state, flat.control, np.repeat(np.asarray(solution.allocation), samples))
+def integrated(scenario: LandingScenario, solution: Solution, samples: int = SAMPLES) -> Curves:
+    """The plan's controls integrated again from the start, densely between the nodes."""
+    path = _rollout(scenario, solution, samples)
+    flat = jax.tree.map(lambda v: np.asarray(v).reshape(-1, *v.shape[2:]), path)
+    return Curves(flat.time, flat.state, flat.control, np.repeat(np.asarray(solution.context), samples))
 
 
 def planned(solution: Solution) -> Curves:
     """The plan at its nodes."""
     path = solution.trajectory
-    cell = np.asarray(solution.allocation)
+    cell = np.asarray(solution.context)
     return Curves(
         np.asarray(path.time), np.asarray(path.state), np.asarray(path.control), np.append(cell, cell[-1])
     )
 
 
 @eqx.filter_jit
-def _fly(scenario: LandingScenario, solution: Solution, samples: int) -> Flight:
-    return fly(landing_problem(scenario, solution.allocation), solution.trajectory, samples)
+def _rollout(scenario: LandingScenario, solution: Solution, samples: int) -> Rollout:
+    return rollout(landing_problem(scenario, solution.context), solution.trajectory, samples)
 
 
 def corridor_margin(corridor: Corridor, curves: Curves) -> Array:

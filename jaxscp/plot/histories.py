@@ -1,4 +1,4 @@
-"""How it flies: speed, tilt, body rate, thrusts and clearance over time, with their limits."""
+"""Histories: speed, tilt, body rate, thrusts and clearance over time, with their limits."""
 
 from typing import Any
 

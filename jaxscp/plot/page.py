@@ -9,7 +9,7 @@ from mpl_toolkits.mplot3d import Axes3D
 from jaxscp.core.status import status_names
 from jaxscp.landing.scenario import LandingScenario
 from jaxscp.plot.convergence import draw_convergence
-from jaxscp.plot.curves import flown, planned
+from jaxscp.plot.curves import integrated, planned
 from jaxscp.plot.histories import draw_histories
 from jaxscp.plot.scene import draw_scene
 from jaxscp.plot.style import LEGEND
@@ -27,7 +27,7 @@ def summary(scenario: LandingScenario, solution: Solution) -> Figure:
         >>> figure = plot.summary(scenario, solution)
         >>> figure.savefig("plan.png")  # doctest: +SKIP
     """
-    curves, nodes = flown(scenario, solution), planned(solution)
+    curves, nodes = integrated(scenario, solution), planned(solution)
     figure = Figure(figsize=(14.0, 9.0))
     scene = cast(Axes3D, figure.add_axes((0.0, 0.27, 0.56, 0.64), projection="3d"))
     below = figure.add_gridspec(1, 3, left=0.055, right=0.55, bottom=0.065, top=0.225, wspace=0.52)
@@ -44,11 +44,11 @@ def summary(scenario: LandingScenario, solution: Solution) -> Figure:
 
 
 def headline(solution: Solution) -> str:
-    """What the picture shows, in one line; the worst violation in SI units."""
+    """The picture's headline; the worst violation is in SI units."""
     between = np.asarray(solution.certificate.between_nodes)
     worst = solution.certificate.names[int(between.argmax())]
     status = str(status_names(solution.status)).replace("_", " ")
-    steps = int(solution.newton_steps)
+    steps = int(solution.interior_point_iterations)
     end = f" and {steps} Newton steps" if steps else ""
     return (
         f"{status} after {int(solution.iterations)} iterations{end}:  "

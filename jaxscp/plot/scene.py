@@ -1,4 +1,4 @@
-"""Where it flies: corridor, obstacles, zones, gates, landing cone and path in three dimensions."""
+"""The scene: corridor, obstacles, zones, gates, landing cone and path in three dimensions."""
 
 import itertools
 from typing import Any
@@ -13,14 +13,15 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 from jaxscp.corridor.polytopes import Corridor, Polytope
 from jaxscp.corridor.shapes import polygons
 from jaxscp.dynamics import rotations
-from jaxscp.landing.scenario import BodyState, Ellipsoids, LandingScenario
+from jaxscp.landing.mission import BodyState, Ellipsoids
+from jaxscp.landing.scenario import LandingScenario
 from jaxscp.plot.curves import Array, Curves
 from jaxscp.plot.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILLION
 
 
 def draw_scene(ax: Axes3D, scenario: LandingScenario, curves: Curves, nodes: Curves) -> Axes3D:
     """Corridor, obstacles, landing cone, path and attitude in three dimensions, to one scale."""
-    ax.computed_zorder = False  # the path stays visible through what is in front of it
+    ax.computed_zorder = False  # the path stays visible behind other objects
     low, high = _bounds(scenario, nodes)
     if scenario.obstacles is not None:
         draw_obstacles(ax, np.asarray(scenario.obstacles), low, high)
@@ -53,15 +54,15 @@ def _to_scale(ax: Axes3D, low: Array, high: Array) -> None:
         artist.set_clip_on(False)
 
 
-def _zoom_to_fill(ax: Axes3D, low: Array, high: Array, share: float = 0.84) -> float:
-    """Zoom at which the box fills a share of the axes' rectangle; the rest is for ticks and labels."""
+def _zoom_to_fill(ax: Axes3D, low: Array, high: Array, fraction: float = 0.84) -> float:
+    """Zoom at which the box fills a fraction of the axes' rectangle; the rest is for ticks and labels."""
     xs, ys, zs = np.array(list(itertools.product(*zip(low, high, strict=True)))).T
     x, y, _ = proj3d.proj_transform(xs, ys, zs, ax.get_proj())
-    rectangle = ax.get_window_extent()  # which a square, at zoom one, has the height or the width of
+    rectangle = ax.get_window_extent()  # at zoom one, a square has its height or width
     side = min(rectangle.width, rectangle.height)
     across = rectangle.width / side * ax.viewLim.width / np.ptp(x)
     upright = rectangle.height / side * ax.viewLim.height / np.ptp(y)
-    return share * float(min(across, upright))
+    return fraction * float(min(across, upright))
 
 
 def draw_corridor(ax: Axes3D, corridor: Corridor, color: str = BLUE) -> Axes3D:

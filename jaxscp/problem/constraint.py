@@ -1,10 +1,10 @@
-"""A constraint is a function of (state, control, time, parameters of that node) and the cone it must lie in.
+"""A constraint: a function of (state, control, time, parameters of the node), and the cone that its values lie in.
 
-Functions that are affine are kept exactly by linearisation; others are linearised anew at every iteration.
+Linearisation keeps affine functions exactly. It replaces others anew at every iteration.
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -14,11 +14,36 @@ from jaxtyping import Array, Bool
 from jaxscp.cones.cone import Cone
 from jaxscp.core.types import Scalar
 
-DISTANCE = 1e-3  # m: violation of a distance that counts as none
+DISTANCE_TOLERANCE = 1e-3  # m: a violation of a distance that counts as none
 
 
 class Where(eqx.Module):
-    """Where on the flight a constraint holds."""
+    """The part of the trajectory on which a constraint holds."""
+
+    nodal: ClassVar[bool] = False
+    """Whether the constraint holds at nodes alone; else in intervals."""
+    across: ClassVar[bool] = False
+    """Whether its function takes the controls at both ends of an interval."""
+
+    @property
+    def throughout(self) -> bool:
+        """Whether the constraint holds at every point of an interval."""
+        return not (self.nodal or self.across)
+
+    def end_value(
+        self, function: Callable[..., Array], at: tuple, first: Array, last: Array, parameters: Any
+    ):
+        """Values of an interval, for a constraint that does not hold throughout.
+
+        Args:
+            function: of the constraint.
+            at: (state, time or None, width): at the first node, and the interval's width in scaled time.
+            first: controls with the dilation, at the first node.
+            last: the same at the last node.
+            parameters: of the first node.
+        """
+        state, time, _ = at
+        return function(state, first[:-1], time, parameters)
 
 
 class Throughout(Where):
@@ -26,16 +51,30 @@ class Throughout(Where):
 
 
 class AtNodes(Where):
-    """At its active nodes alone: gates; and affine functions of the controls, which are linear between nodes, so
-    that what holds at the nodes holds everywhere."""
+    """At its active nodes alone.
+
+    For gates, and for affine functions of the controls: controls are linear between nodes, so that such a
+    constraint holds between two nodes if it holds at both.
+    """
+
+    nodal: ClassVar[bool] = True
 
 
 class AcrossIntervals(Where):
     """In the intervals of its active nodes, on the controls at both ends.
 
-    The function's arguments are (first, last, width, parameters): the controls, with the dilation last, at both
-    ends, and the interval's width in scaled time.
+    The function's arguments are (first, last, width, parameters): the controls at both ends, with the dilation last,
+    and the interval's width in scaled time.
     """
+
+    across: ClassVar[bool] = True
+
+    def end_value(
+        self, function: Callable[..., Array], at: tuple, first: Array, last: Array, parameters: Any
+    ):
+        """Values of an interval."""
+        *_, width = at
+        return function(first, last, width, parameters)
 
 
 class Constraint(eqx.Module):
@@ -46,16 +85,16 @@ class Constraint(eqx.Module):
         parameters: a pytree whose arrays have the nodes as leading axis.
         cone: ``Zero()``, ``NonNegative()`` or ``SecondOrder()``.
         active: (nodes,) whether the constraint holds at a node.
-        name: what reports call it.
+        name: for reports.
         where: ``Throughout()``, ``AtNodes()`` or ``AcrossIntervals()``.
-        convex: whether the linearised constraint is no stricter than the true one can be kept. One that is not
-            may contradict the others far from a solution: subproblems may then buy violations of it (virtual
-            buffer).
+        convex: whether the feasible set is convex. The linearisation of another constraint may contradict the rest
+            far from a solution; subproblems may then violate it at a penalty (virtual buffer).
         allowed: violation that counts as none, in the unit of the values.
 
     Example:
         >>> import jax.numpy as jnp
-        >>> from jaxscp.problem.constraint import Constraint, NonNegative
+        >>> from jaxscp.cones.cone import NonNegative
+        >>> from jaxscp.problem.constraint import Constraint
         >>> def floor(state, control, time, height):
         ...     return state[2:3] - height
         >>> Constraint(floor, jnp.full((5, 1), 0.3), NonNegative(), jnp.ones(5, bool), "floor").name
@@ -69,9 +108,23 @@ class Constraint(eqx.Module):
     name: str = eqx.field(static=True)
     where: Where = Throughout()
     convex: bool = eqx.field(default=True, static=True)
-    allowed: Scalar | float = DISTANCE
+    allowed: Scalar | float = DISTANCE_TOLERANCE
+
+    def active_in_intervals(self, points: int) -> Bool[Array, "intervals points"]:
+        """Points of every interval at which the constraint holds.
+
+        It holds in the intervals of its active nodes, and at the last node only if active there: a landing cone, say,
+        is left out at its apex, where the end condition holds the vehicle.
+        """
+        active = jnp.broadcast_to(self.active[:-1, None], (self.active.shape[0] - 1, points))
+        last_point = active[-1, -1] & (self.active[-1] | (points == 1))
+        return active.at[-1, -1].set(last_point)
+
+    def active_at_locations(self, points: int) -> Bool[Array, "locations points"]:
+        """The same for its own locations: nodes for ``AtNodes``, else intervals."""
+        return self.active[:, None] if self.where.nodal else self.active_in_intervals(points)
 
 
 def repeat_over_nodes(parameters: Any, nodes: int) -> Any:
-    """Give parameters that do not vary a leading axis of nodes."""
+    """Parameters with a leading axis of nodes, the same at every node."""
     return jax.tree.map(lambda p: jnp.broadcast_to(p, (nodes, *jnp.shape(p))), parameters)

@@ -1,4 +1,4 @@
-"""Multipliers of a flight: what its dynamics, its ends and its constraints cost."""
+"""Multipliers of the nonlinear problem: sensitivities of the cost to its constraints."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -8,7 +8,7 @@ from jaxscp.core.types import Nodes
 
 
 class Multipliers(eqx.Module):
-    """Multipliers of the nonlinear problem."""
+    """Multipliers of the dynamics, of the conditions at both ends, and of the constraints."""
 
     flow: Float[Array, "intervals states"]
     """lambda: of F(w_i) = x_{i+1}."""
@@ -20,11 +20,13 @@ class Multipliers(eqx.Module):
     """y: of the ``inequalities``, in the dual of their cones."""
 
     def by_interval(self) -> tuple[Float[Array, "intervals _ _"], ...]:
-        """y of the constraints, in the shape of ``Outputs.values``: an interval's part in what holds at nodes is its
-        first node's."""
+        """y of the constraints, in the shape of ``Outputs.values``.
+
+        A constraint at nodes gives every interval the multiplier of its first node.
+        """
         return tuple(y[: self.flow.shape[0]] for y in self.values[:-1])
 
     @property
     def dilation(self) -> Nodes:
-        """Of the limit of each node's dilation that has the higher price."""
+        """The larger multiplier of each node's two dilation limits."""
         return jnp.max(self.values[-1][:, 0], axis=1)

@@ -23,7 +23,7 @@ from jaxscp.problem.constraint import Constraint
 
 
 class Boundary(eqx.Module):
-    """Conditions ``function(state, time, parameters) = 0`` at one end of the flight.
+    """Conditions ``function(state, time, parameters) = 0`` at one end of the trajectory.
 
     Linearised at the reference; a row that is zero everywhere is no condition, so that components can be
     freed without changing shapes.
@@ -65,8 +65,7 @@ class OptimalControlProblem(eqx.Module):
     """Greatest dt/dtau in seconds."""
     nodes: int = eqx.field(static=True)
     carries_cost: bool = eqx.field(default=False, static=True)
-    """Whether the running cost so far is a state (equation 11). It is linear in the rest, so this changes nothing
-    but what the paper's trust region counts."""
+    """Whether the running cost so far is a state (equation 11). Only the paper's trust region depends on it."""
     carries_time: bool = eqx.field(default=False, static=True)
     """Whether time is a state (equation 11): needed where a constraint or a boundary uses time."""
 
@@ -119,13 +118,13 @@ class OptimalControlProblem(eqx.Module):
     def slope(
         self, state: Float[Array, "states"], control: Float[Array, "inputs"]
     ) -> Float[Array, "extended"]:
-        """Slope of the whole state, and of the running cost after it, by the share of an interval."""
-        share = control[-1:] / (self.nodes - 1)  # of the dilation: all is in proportion to it
-        return jnp.append(*self.rate(state, jnp.append(control[:-1], share)))
+        """Derivative of the whole state, and of the running cost after it, by the fraction of an interval."""
+        dilation = control[-1:] / (self.nodes - 1)  # of one interval: the derivative is proportional to it
+        return jnp.append(*self.rate(state, jnp.append(control[:-1], dilation)))
 
 
 class Condition(eqx.Module):
-    """Conditions at one end of the flight, to first order about its state."""
+    """Conditions at one end of the trajectory, to first order about its state."""
 
     jacobian: Float[Array, "conditions states"]
     value: Float[Array, "conditions"]
@@ -187,13 +186,13 @@ def node_times(dilation: Nodes) -> Nodes:
 
 
 def integrate_nodes(rate: Nodes) -> Nodes:
-    """Integral over scaled time, from 0 to each node, of what is linear between nodes."""
+    """Integral over scaled time, from 0 to each node, of a rate that is linear between nodes."""
     widths = 0.5 * (rate[1:] + rate[:-1]) / (rate.shape[0] - 1)
     return jnp.concatenate([jnp.zeros_like(widths[:1]), jnp.cumsum(widths)])
 
 
 def terminal_cost(problem: OptimalControlProblem, z: Float[Array, "nodes variables"]) -> Scalar:
-    """Terminal cost of node variables; the final time is that of the dilation."""
+    """Terminal cost of node variables; the final time is the integral of the dilation."""
     state, time, _, _ = problem.split(z[-1])
     time = node_times(z[:, -1])[-1] if time is None else time
     return problem.terminal_cost(state, time, problem.weights)

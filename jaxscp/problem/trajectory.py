@@ -33,7 +33,7 @@ class Trajectory(eqx.Module):
         time = jnp.clip(time, self.time[0], self.time[-1])
         last = self.time.shape[0] - 2
         i = jnp.clip(jnp.searchsorted(self.time, time, side="right") - 1, 0, last)
-        # Within an interval t grows by width (s0 share + (s1 - s0) share^2 / 2): take the stable root.
+        # Within an interval t grows by width (s0 f + (s1 - s0) f^2 / 2) at the fraction f: take the stable root.
         s0, s1 = self.dilation[i], self.dilation[i + 1]
         elapsed = (time - self.time[i]) * (self.time.shape[0] - 1)
         root = jnp.sqrt(jnp.maximum(s0**2 + 2.0 * (s1 - s0) * elapsed, 0.0))
@@ -50,8 +50,8 @@ class Trajectory(eqx.Module):
     def _linear(self, values, time):
         position = self.scaled_time(time) * (self.time.shape[0] - 1)
         i = jnp.clip(jnp.floor(position).astype(int), 0, self.time.shape[0] - 2)
-        share = position - i.astype(position.dtype)
-        return (1.0 - share) * values[i] + share * values[i + 1]
+        fraction = position - i.astype(position.dtype)
+        return (1.0 - fraction) * values[i] + fraction * values[i + 1]
 
     def save(self, file: str | os.PathLike) -> None:
         """Write an .npz with ``time``, ``state``, ``control`` and ``dilation``, in SI units."""

@@ -1,7 +1,7 @@
-"""How much of a step to take: the longest part that, corrected, is good enough.
+"""Line search: the longest fraction of a step whose corrected point decreases the merit enough.
 
-A part that is shorter, and its correction, are far cheaper than another subproblem; but most whole steps are good, so
-that parts are tried one after the other.
+A shorter fraction, with its correction, is far cheaper than another subproblem. Most whole steps are good, so that
+fractions are tried one after the other.
 """
 
 import equinox as eqx
@@ -11,97 +11,103 @@ from jaxtyping import Array, Float
 
 from jaxscp.core import batching
 from jaxscp.core.types import Count, Flag, Scalar
-from jaxscp.problem.multipliers import Multipliers
 from jaxscp.problem.problem import OptimalControlProblem, terminal_cost
-from jaxscp.scp.second_order_correction import Correction, corrected
-from jaxscp.transcription.lagrangian import Residual, merit, residual
+from jaxscp.scp.active_set import active_set, slacks
+from jaxscp.scp.convex_model import ConvexModel
+from jaxscp.scp.second_order_correction import Correction, corrected, correction
+from jaxscp.scp.state import NewtonSettings, NewtonState
+from jaxscp.scp.subproblem import SubproblemSolution
+from jaxscp.transcription.lagrangian import Merit, Residual, residual
 from jaxscp.transcription.shooting import Grid, evaluate
 
-LENGTHS = (1.0, 0.5, 0.2)  # parts of a step that are tried
+LENGTHS = (1.0, 0.5, 0.2)  # fractions of a step, in the order of the trials
+SUFFICIENT_DECREASE = 1e-4  # fraction of the predicted decrease
 
 
-class Merit(eqx.Module):
-    """The augmented Lagrangian that judges points."""
-
-    problem: OptimalControlProblem
-    multipliers: Multipliers
-    weight: float
-    scale: Float[Array, "states"]
-
-    def __call__(self, r: Residual) -> Scalar:
-        """Of a point, by its residual."""
-        return merit(self.problem, r, self.multipliers, self.weight, self.scale)
-
-
-class Step(eqx.Module):
-    """A step from a reference, and what its parts are judged by."""
+class Search(eqx.Module):
+    """A step from a reference, with the data that its trials share."""
 
     z: Float[Array, "nodes variables"]
     """The reference."""
-    move: Float[Array, "nodes variables"]
+    step: Float[Array, "nodes variables"]
     """The whole step."""
-    room: Float[Array, "intervals conditions"]
-    """The reference's slacks."""
+    slack: Float[Array, "intervals conditions"]
+    """Slacks of the reference."""
     correction: Correction
     merit: Merit
-    enough: Scalar
-    """Merit that is good enough."""
+    sufficient: Scalar
+    """Merit that a trial must not exceed."""
     grid: Grid
     rounds: int = eqx.field(static=True)
     """Of the correction."""
 
 
 class Trial(eqx.Module):
-    """A part of the step, corrected."""
+    """A fraction of the step, corrected."""
 
     z: Float[Array, "nodes variables"]
     residual: Residual
     merit: Scalar
-    """Infinite where it is no number."""
+    """Infinite where the merit is not a number."""
 
 
-class Search(eqx.Module):
-    """State of the loop, and what it ends with."""
+class LineSearch(eqx.Module):
+    """State of the search, and its result."""
 
     whole: Trial
+    """The whole step."""
     last: Trial
     tried: Count
-    good: Flag
-    """Whether the last one is good enough."""
+    sufficient: Flag
+    """Whether the last trial decreases the merit enough."""
 
     @property
     def chosen(self) -> Count:
-        """Which of ``LENGTHS``: the longest that is good enough, or the whole step if none is."""
-        return jnp.where(self.good, self.tried - 1, 0)
+        """Index in ``LENGTHS`` of the longest sufficient fraction; zero, the whole step, if there is none."""
+        return jnp.where(self.sufficient, self.tried - 1, 0)
 
     @property
     def trial(self) -> Trial:
-        """What came of that."""
-        return jax.tree.map(lambda a, b: jnp.where(self.good, a, b), self.last, self.whole)
+        """The chosen trial."""
+        return jax.tree.map(lambda a, b: jnp.where(self.sufficient, a, b), self.last, self.whole)
 
 
-def search(step: Step, now: Residual) -> Search:
-    """Try parts of a step, from the longest to the shortest.
+def line_search(
+    settings: NewtonSettings,
+    problem: OptimalControlProblem,
+    state: NewtonState,
+    model: ConvexModel,
+    qp: SubproblemSolution,
+) -> LineSearch:
+    """Try fractions of the subproblem's step, from the longest to the shortest, against the merit history."""
+    active = active_set(problem, state.linear, qp.multipliers, model.scale)
+    worst = jnp.max(jax.vmap(qp.merit)(state.merit_history))
+    search = Search(
+        z=state.z,
+        step=qp.step,
+        slack=slacks(problem, state.linear.outputs),
+        correction=correction(problem, state.linear, active, model.metric, state.scale),
+        merit=qp.merit,
+        sufficient=worst - SUFFICIENT_DECREASE * jnp.abs(qp.decrease),
+        grid=settings.grid,
+        rounds=settings.correction_rounds,
+    )
+    blank = jax.tree.map(jnp.zeros_like, Trial(search.z, state.residual, search.sufficient))
+    start = LineSearch(blank, blank, jnp.zeros((), int), jnp.zeros((), bool))
+    unfinished = lambda s: ~s.sufficient & (s.tried < len(LENGTHS))  # noqa: E731
+    return batching.while_loop(unfinished, _try_next, search, start)
 
-    Args:
-        step: to be tried.
-        now: residual of the reference.
-    """
-    blank = jax.tree.map(jnp.zeros_like, Trial(step.z, now, step.enough))
-    start = Search(blank, blank, jnp.zeros((), int), jnp.zeros((), bool))
-    return batching.while_loop(lambda s: ~s.good & (s.tried < len(LENGTHS)), _try_next, step, start)
 
-
-def _try_next(step: Step, s: Search) -> Search:
-    new = attempt(step, jnp.asarray(LENGTHS, step.z.dtype)[s.tried])
+def _try_next(search: Search, s: LineSearch) -> LineSearch:
+    new = _attempt(search, jnp.asarray(LENGTHS, search.z.dtype)[s.tried])
     whole = jax.tree.map(lambda a, b: jnp.where(s.tried == 0, a, b), new, s.whole)
-    return Search(whole, new, s.tried + 1, new.merit <= step.enough)
+    return LineSearch(whole, new, s.tried + 1, new.merit <= search.sufficient)
 
 
-def attempt(step: Step, length: Scalar | float) -> Trial:
-    """A part of the step, corrected."""
-    problem = step.merit.problem
-    z, rest = step.z + length * step.move, (1.0 - length) * step.room
-    z = corrected(problem, z, step.correction, step.grid, step.rounds, rest)
-    found = residual(evaluate(problem, z, step.grid), terminal_cost(problem, z), z)
-    return Trial(z, found, jnp.nan_to_num(step.merit(found), nan=jnp.inf))
+def _attempt(search: Search, length: Scalar | float) -> Trial:
+    """A fraction of the step, corrected."""
+    problem = search.merit.problem
+    z, target_slack = search.z + length * search.step, (1.0 - length) * search.slack
+    z = corrected(problem, z, search.correction, search.grid, search.rounds, target_slack)
+    found = residual(evaluate(problem, z, search.grid), terminal_cost(problem, z), z)
+    return Trial(z, found, jnp.nan_to_num(search.merit(found), nan=jnp.inf))

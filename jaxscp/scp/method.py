@@ -1,6 +1,6 @@
-"""The result of a method, as a function of the problem."""
+"""A method of solution: iterations on node variables, and their result as a function of the problem."""
 
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -8,43 +8,74 @@ from jaxtyping import Array, Float
 
 from jaxscp.core.status import StatusCode
 from jaxscp.core.types import Count, Flag, Scalar
+from jaxscp.problem.form import Form
 from jaxscp.problem.multipliers import Multipliers
 from jaxscp.problem.problem import OptimalControlProblem
 from jaxscp.scp.history import History
+from jaxscp.transcription.shooting import Grid
 
 
 class MethodResult(eqx.Module):
-    """What a method found, as a function of the problem."""
+    """Result of a method; ``z``, ``cost`` and ``multipliers`` have derivatives with respect to the problem."""
 
     z: Float[Array, "nodes variables"]
     cost: Scalar
     multipliers: Multipliers | None
-    reached: Flag
-    """Whether it is an optimum to rounding."""
-    newton_steps: Count
-    """Of the interior point that ended there."""
-
-
-class End(eqx.Module):
-    """What is judged of a method's last state."""
-
-    z: Float[Array, "nodes variables"]
-    multipliers: Multipliers | None
-    cost: Scalar
+    """None if the method has none."""
+    is_optimum: Flag
+    """Whether ``z`` is a local optimum to rounding."""
+    interior_point_iterations: Count
+    """Newton steps of the interior point that led to the optimum."""
     iterations: Count
+    """Subproblems solved."""
     status: StatusCode
     history: History
 
 
-def solve(
-    method: Any,
+@runtime_checkable
+class Method(Protocol):
+    """Interface of a method: ``init``, ``step`` and ``terminate`` are pure; ``run`` is the loop over them."""
+
+    @property
+    def form(self) -> Form:
+        """Statement of the problem that the method solves."""
+        ...
+
+    @property
+    def holds_between_nodes(self) -> bool:
+        """Whether a converged solution claims to satisfy its constraints between the nodes too."""
+        ...
+
+    @property
+    def grid(self) -> Grid | None:
+        """Points of an interval at which its constraints hold; None if they hold at the nodes only."""
+        ...
+
+    def init(self, problem: OptimalControlProblem, z: Float[Array, "nodes variables"]) -> Any:
+        """State before the first iteration, from a guess."""
+        ...
+
+    def terminate(self, state: Any) -> Flag:
+        """Whether the loop is over."""
+        ...
+
+    def run(
+        self, problem: OptimalControlProblem, z: Float[Array, "nodes variables"], enabled: Flag | bool = True
+    ) -> Any:
+        """Last state from a guess; a batch element that is not enabled takes no step."""
+        ...
+
+    def result(self, problem: OptimalControlProblem, state: Any) -> MethodResult:
+        """Result of the last state, as a function of the problem."""
+        ...
+
+
+def iterate(
+    method: Method,
     problem: OptimalControlProblem,
     z: Float[Array, "nodes variables"],
-    wanted: Flag | bool = True,
-) -> tuple[End, MethodResult]:
-    """The method's end, and its answer as a function of the problem: gradients go round the iterations."""
+    enabled: Flag | bool = True,
+) -> MethodResult:
+    """Result of a method from the guess z; derivatives bypass the iterations."""
     frozen, z = jax.lax.stop_gradient((problem, z))
-    state = method.run(frozen, z, wanted)
-    multipliers = getattr(state, "multipliers", None)
-    end = End(state.z, multipliers, state.cost, state.iterations, state.status, state.history)
-    return end, method.answer(problem, state)
+    return method.result(problem, method.run(frozen, z, enabled))

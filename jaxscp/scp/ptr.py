@@ -1,7 +1,7 @@
-"""Sequential convex programming (Algorithm 1): linearise, solve the subproblem, repeat until nothing moves.
+"""Sequential convex programming with a penalised trust region (Algorithm 1): linearise, solve, repeat.
 
 ``init``, ``step`` and ``terminate`` are pure functions of arrays; ``run`` is the loop over them, written once.
-Under ``vmap`` a lane that has ended keeps its state while others go on.
+Under ``vmap`` a batch element that has ended does not change while others go on.
 """
 
 import equinox as eqx
@@ -15,19 +15,20 @@ from jaxscp.core import batching
 from jaxscp.core.status import Status, StatusCode, usable
 from jaxscp.core.types import Count, Flag, Scalar
 from jaxscp.nlp.sensitivity import without_derivative
+from jaxscp.problem.form import Form, Paper
 from jaxscp.problem.problem import OptimalControlProblem, node_times
 from jaxscp.scp.history import History
-from jaxscp.scp.method import End, MethodResult
-from jaxscp.scp.nodal_subproblem import NormTrustRegion, TrustRegion, convexify
+from jaxscp.scp.method import MethodResult
+from jaxscp.scp.nodal_subproblem import NormTrustRegion, TrustRegion, nodal_subproblem
 from jaxscp.transcription.discretise import Discretisation, discretise
 
-KEPT = 0.99  # of virtual control, from a subproblem to the next, where it will not vanish
-TIGHTER = 0.3  # times as accurate, from a subproblem to the next: errors that stay as large can keep steps so
-SHARE = 7e-3  # of what is ahead, to which a subproblem is solved
-ENDING = 5e-5  # accuracy of one that may be the last: of a coarser one small steps say nothing, a finer is of no use
-# Lanes that a GPU steps at once: of fewer, the last of a kernel leave more of it idle. Of the few that need another
-# subproblem or two, as many as it has room for.
-TILES = 4096, 512
+STAGNATION = 0.99  # ratio of virtual control, from a subproblem to the next, at which it does not vanish
+FORCING_FACTOR = 0.3  # of the accuracy, where steps do not shrink: inexact solutions can cause that
+FORCING_OF_STEP = 7e-3  # accuracy of a subproblem, relative to the square of the last step
+FINAL_FORCING = 5e-5  # accuracy that a converged subproblem needs; a finer one is of no use
+# Batch elements that a GPU steps at once; a smaller chunk would leave it idle. For the few elements that need another
+# subproblem or two, a second size.
+CHUNKS = 4096, 512
 
 
 class PTRState(eqx.Module):
@@ -36,29 +37,29 @@ class PTRState(eqx.Module):
     z: Float[Array, "nodes variables"]
     """The reference: the last accepted iterate."""
     flow: Discretisation
-    """The flow linearised about it."""
+    """Linearisation of the dynamics about the reference."""
     cost: Scalar
     iterations: Count
     status: StatusCode
     done: Flag
     history: History
-    prices: ConicMultipliers
+    multipliers: ConicMultipliers
     """Of the last subproblem."""
 
 
 class PTR(eqx.Module):
-    """Settings of the method; the paper's Table I and stopping rule by default.
+    """Sequential convex programming with a penalised trust region: the paper's Table I and stopping rule by default.
 
     Args:
-        trust_region: price of moving away from the reference.
-        virtual_weight: price of virtual control, w_vc.
+        trust_region: penalty on the distance from the reference.
+        virtual_weight: penalty weight of virtual control, w_vc.
         tolerance_virtual: largest |nu_i| of a converged iterate.
         tolerance_step: largest |z_k - zref_k| of a converged iterate.
         max_iterations: subproblems allowed.
-        substeps: RK4 steps an interval; never fewer than ten, since optimisers exploit the error of four.
-        coarsest: relative accuracy of the first subproblem; the next are solved better and better. Zero solves all to
-            the solver's tolerance, in far more Newton steps, for flights that cost much the same.
-        conic: solver of the subproblems, which is told what accuracy is enough and where the solution may be near.
+        substeps: RK4 steps an interval; never fewer than ten, since optimisers exploit the integration error of four.
+        initial_forcing: relative accuracy of the first subproblem; the next are solved better and better. Zero solves
+            all to the solver's tolerance, in far more Newton steps, at nearly the same cost of the plan.
+        conic: solver of the subproblems, called with the accuracy needed and a warm start.
     """
 
     trust_region: TrustRegion = NormTrustRegion()
@@ -67,32 +68,40 @@ class PTR(eqx.Module):
     tolerance_step: float = 1e-3
     max_iterations: int = eqx.field(default=50, static=True)
     substeps: int = eqx.field(default=10, static=True)
-    coarsest: float = 1.0
+    initial_forcing: float = 1.0
     conic: ConicSolver = InteriorPoint(equilibration=1, refine_below=1e-5)
 
     @property
-    def published(self) -> bool:
-        """Whether the landing problem is stated as in the paper."""
-        return True
+    def form(self) -> Form:
+        """As in the paper."""
+        return Paper()
 
     @property
     def holds_between_nodes(self) -> bool:
-        """Whether a converged answer claims to keep its constraints between the nodes too."""
+        """False: constraints hold at the nodes."""
         return False
 
-    def answer(self, problem: OptimalControlProblem, state: PTRState) -> MethodResult:
-        """The end. It is no function of the problem: the iterations stop where moving no longer pays, which says more
-        of the guess."""
-        z, cost = without_derivative(state.z, problem), without_derivative(state.cost, problem)
-        return MethodResult(z, cost, None, jnp.zeros((), bool), jnp.zeros((), int))
+    @property
+    def grid(self) -> None:
+        """None: constraints hold at the nodes."""
+        return None
 
-    def optimality(self, problem: OptimalControlProblem, end: End) -> None:
-        """Nothing: where the trust region is priced by an unsquared norm, a stop says nothing of optimality."""
+    def result(self, problem: OptimalControlProblem, state: PTRState) -> MethodResult:
+        """Result of the last state. It is not differentiable: the stopping point depends on the guess."""
+        z, cost = without_derivative(state.z, problem), without_derivative(state.cost, problem)
+        return MethodResult(
+            z=z,
+            cost=cost,
+            multipliers=None,
+            is_optimum=jnp.zeros((), bool),
+            interior_point_iterations=jnp.zeros((), int),
+            iterations=state.iterations,
+            status=state.status,
+            history=state.history,
+        )
 
     def init(self, problem: OptimalControlProblem, z: Float[Array, "nodes variables"]) -> PTRState:
-        """State before the first subproblem, from an initial guess."""
-        zeros = jnp.zeros(self.max_iterations, z.dtype)
-        counts = jnp.zeros(self.max_iterations, int)
+        """State before the first subproblem, from a guess."""
         flow = discretise(problem, z, self.substeps)
         return PTRState(
             z=z,
@@ -101,77 +110,80 @@ class PTR(eqx.Module):
             iterations=jnp.zeros((), int),
             status=Status.iteration_limit,
             done=jnp.zeros((), bool),
-            history=History(zeros, zeros, zeros, zeros, zeros, zeros, counts),
-            prices=ConicMultipliers.zeros(jax.eval_shape(lambda: self._program(problem, z, flow)[0])),
+            history=History.zeros(self.max_iterations, z.dtype),
+            multipliers=ConicMultipliers.zeros(jax.eval_shape(lambda: self._program(problem, z, flow)[0])),
         )
 
     def step(self, problem: OptimalControlProblem, state: PTRState) -> PTRState:
-        """Solve one subproblem and take its answer as the next reference."""
+        """Solve one subproblem; its solution is the next reference."""
         program, cost = self._program(problem, state.z, state.flow)
-        # a lane that has ended fills up a batch, and asks for nothing
-        accuracy = jnp.where(self.terminate(state), jnp.inf, self.accuracy(state))
-        solution = self.conic(program, accuracy, WarmStart(state.z, state.prices))
+        # a batch element that has ended is in the chunk only to fill it
+        forcing = jnp.where(self.terminate(state), jnp.inf, self.forcing_term(state))
+        solution = self.conic(program, forcing, WarmStart(state.z, state.multipliers))
         good = usable(solution.status) & jnp.all(jnp.isfinite(solution.z))
         z = jnp.where(good, solution.z, state.z)
         flow = discretise(problem, z, self.substeps)
-        virtual = jnp.max(jnp.linalg.norm(program.virtual_control(z), axis=1))
-        moved = jnp.max(jnp.linalg.norm(z - state.z, axis=1))
-        small_step = (moved < self.tolerance_step) & (accuracy <= ENDING)
-        closed = virtual < self.tolerance_virtual
+        virtual_control = jnp.max(jnp.linalg.norm(program.virtual_control(z), axis=1))
+        step_norm = jnp.max(jnp.linalg.norm(z - state.z, axis=1))
+        small_step = (step_norm < self.tolerance_step) & (forcing <= FINAL_FORCING)
+        dynamics_feasible = virtual_control < self.tolerance_virtual
         row = History(
             cost=cost(z),
             objective=solution.objective,
             final_time=node_times(z[:, -1])[-1],
-            virtual=virtual,
-            step=moved,
+            virtual_control=virtual_control,
+            step_norm=step_norm,
             defect=largest_defect(problem, z, flow),
             conic_iterations=solution.iterations,
         )
-        status = Status.where(closed, Status.iteration_limit, Status.dynamics_unmet)
-        status = Status.where(closed & small_step, Status.converged, status)
+        status = Status.where(dynamics_feasible, Status.iteration_limit, Status.dynamics_unmet)
+        status = Status.where(dynamics_feasible & small_step, Status.converged, status)
         return PTRState(
             z=z,
             flow=flow,
             cost=cost(z),
             iterations=state.iterations + 1,
             status=Status.where(good, status, solution.status),
-            done=~good | (small_step & (closed | _stays(virtual, state))),
-            history=jax.tree.map(lambda h, v: h.at[state.iterations].set(v), state.history, row),
-            prices=solution.multipliers,
+            done=~good | (small_step & (dynamics_feasible | _stagnates(virtual_control, state))),
+            history=state.history.with_row(state.iterations, row),
+            multipliers=solution.multipliers,
         )
 
-    def accuracy(self, state: PTRState) -> Scalar:
-        """Relative accuracy that the next subproblem is worth: next to nothing is gained by more.
+    def forcing_term(self, state: PTRState) -> Scalar:
+        """Relative accuracy of the next subproblem.
 
-        A reference that moves far is soon another one; near the end, steps are about the square of the last one, until
-        they are too small to matter.
+        A reference that moves far will soon change, so that its subproblem needs little accuracy. Near the end, steps
+        are about the square of the last one, until they are negligible.
         """
-        last = state.history.step[state.iterations - 1]  # zero before the first, whose row is the last one's
-        most = self.coarsest * TIGHTER ** state.iterations.astype(last.dtype)
-        return jnp.where(state.iterations == 0, most, jnp.minimum(most, jnp.maximum(ENDING, SHARE * last**2)))
+        last = state.history.step_norm[
+            state.iterations - 1
+        ]  # before the first: the last row's, which is zero
+        most = self.initial_forcing * FORCING_FACTOR ** state.iterations.astype(last.dtype)
+        of_step = jnp.maximum(FINAL_FORCING, FORCING_OF_STEP * last**2)
+        return jnp.where(state.iterations == 0, most, jnp.minimum(most, of_step))
 
     def _program(
         self, problem: OptimalControlProblem, z: Float[Array, "nodes variables"], flow: Discretisation
     ):
-        return convexify(problem, z, flow, self.trust_region, self.virtual_weight)
+        return nodal_subproblem(problem, z, flow, self.trust_region, self.virtual_weight)
 
     def terminate(self, state: PTRState) -> Flag:
         """Whether the loop is over."""
         return state.done | (state.iterations >= self.max_iterations)
 
     def run(
-        self, problem: OptimalControlProblem, z: Float[Array, "nodes variables"], wanted: Flag | bool = True
+        self, problem: OptimalControlProblem, z: Float[Array, "nodes variables"], enabled: Flag | bool = True
     ) -> PTRState:
-        """Iterate from an initial guess to the end; not at all for a lane that is not wanted."""
+        """Iterate from a guess to the end; a batch element that is not enabled takes no step."""
         start = self.init(problem, z)
-        start = eqx.tree_at(lambda s: s.done, start, ~jnp.asarray(wanted))
-        return batching.while_loop(lambda state: ~self.terminate(state), self.step, problem, start, TILES)
+        start = eqx.tree_at(lambda s: s.done, start, ~jnp.asarray(enabled))
+        return batching.while_loop(lambda state: ~self.terminate(state), self.step, problem, start, CHUNKS)
 
 
-def _stays(virtual: Scalar, state: PTRState) -> Flag:
-    """Whether virtual control is what it was before the last subproblem: near a fixed point that does not change."""
-    before = state.history.virtual[state.iterations - 1]
-    return (state.iterations > 0) & (virtual > KEPT * before)
+def _stagnates(virtual_control: Scalar, state: PTRState) -> Flag:
+    """Whether virtual control is as large as before the subproblem: a fixed point that does not vanish."""
+    before = state.history.virtual_control[state.iterations - 1]
+    return (state.iterations > 0) & (virtual_control > STAGNATION * before)
 
 
 def largest_defect(

@@ -1,8 +1,7 @@
-"""Second-order correction: take back what a step lacks because the dynamics curve, not by a subproblem but by
-linear algebra.
+"""Second-order correction: reduce the defects of a step, which are of second order, by linear algebra alone.
 
-Rounds of a chord method: the residuals are those of the candidate, the Jacobians those of the reference, and the
-answer is the least one in a metric, with the active constraints held. All rounds share one factorisation.
+Rounds of a chord method: the residuals are the candidate's, the Jacobians the reference's. Each round takes the least
+correction in a metric, with a penalty on leaving the active constraints. All rounds share one factorisation.
 """
 
 import equinox as eqx
@@ -14,24 +13,24 @@ from jaxscp.core.types import Scalar
 from jaxscp.linalg import riccati
 from jaxscp.problem.problem import OptimalControlProblem, end_condition
 from jaxscp.scp.active_set import ActiveSet, slacks
-from jaxscp.transcription.layout import onto_nodes
+from jaxscp.transcription.layout import sum_onto_nodes
 from jaxscp.transcription.shooting import Grid, Linearisation, evaluate
 
-HOLD = (
-    300.0  # usual price of leaving an active constraint, in scaled units: far above the curvature of the rest
+ACTIVE_PENALTY = (
+    300.0  # penalty on leaving an active constraint, in scaled units: far above the other curvature
 )
 _DAMPING = 1e-2  # keeps the metric positive definite
 
 
 class Correction(eqx.Module):
-    """What corrections of steps from one reference share."""
+    """Factorisation that the corrections of all steps from one reference share."""
 
     factor: riccati.Factor
-    """Of the least step's conditions, in scaled variables."""
+    """Of the conditions of a least correction, in scaled variables."""
     active: ActiveSet
-    """Constraints that are held."""
-    hold: Scalar
-    """Price of leaving them."""
+    """Constraints whose violation is penalised."""
+    penalty: Scalar
+    """On leaving them."""
     scale: Float[Array, "variables"]
     """Typical sizes."""
 
@@ -42,33 +41,33 @@ def correction(
     active: ActiveSet,
     metric: Float[Array, "intervals inputs inputs"],
     scale: Float[Array, "variables"],
-    hold: Scalar | float = HOLD,
+    penalty: Scalar | float = ACTIVE_PENALTY,
 ) -> Correction:
-    """Factor the conditions of a least step.
+    """Factor the conditions of a least correction.
 
     Args:
         problem: gives the sizes.
-        linear: the reference.
-        active: constraints that the step ended on.
-        metric: convex curvature in scaled units; a correction is least in it.
+        linear: linearisation about the reference.
+        active: constraints whose violation is penalised.
+        metric: convex Hessian in scaled units; a correction is least in it.
         scale: typical sizes of a node's variables.
-        hold: price of leaving an active constraint, in scaled units.
+        penalty: on leaving an active constraint, in scaled units.
     """
     n, stage = problem.state_size, problem.variables
     sizes = jnp.concatenate([scale, scale[n:]])
     damping = _DAMPING * jnp.eye(sizes.shape[0], dtype=metric.dtype)
-    own = hold * active.dilation
-    held = metric + hold * active.curvature() + damping
-    # No interval counts the last controls' limits as its own: they stay.
-    last = hold * jnp.diag((jnp.arange(stage) >= n).astype(metric.dtype)) + damping[:stage, :stage]
-    chain = riccati.LQProblem(
-        hessian=held.at[:, stage - 1, stage - 1].add(own[:-1]),
-        last=last.at[-1, -1].add(own[-1]),
+    at_limit = penalty * active.dilation
+    penalised = metric + penalty * active.hessian() + damping
+    # The last node's controls belong to no interval of their own: the penalty keeps them.
+    last = penalty * jnp.diag((jnp.arange(stage) >= n).astype(metric.dtype)) + damping[:stage, :stage]
+    system = riccati.LQProblem(
+        hessian=penalised.at[:, stage - 1, stage - 1].add(at_limit[:-1]),
+        last=last.at[-1, -1].add(at_limit[-1]),
         flow=linear.jacobian.end * sizes / scale[:n, None],
         initial=linear.initial.jacobian * scale[:n],
         final=linear.final.jacobian * scale[:n],
     )
-    return Correction(riccati.factor(chain), active, jnp.asarray(hold, metric.dtype), scale)
+    return Correction(riccati.factor(system), active, jnp.asarray(penalty, metric.dtype), scale)
 
 
 def corrected(
@@ -77,30 +76,30 @@ def corrected(
     by: Correction,
     grid: Grid,
     rounds: int,
-    rest: Float[Array, "intervals conditions"] | None = None,
+    target_slack: Float[Array, "intervals conditions"] | None = None,
 ) -> Float[Array, "nodes variables"]:
-    """The candidate, moved towards the true dynamics.
+    """The candidate, corrected towards the dynamics.
 
     Args:
         problem: gives dynamics and constraints.
         candidate: node variables after a step.
-        by: factored at the reference.
+        by: factorisation at the reference.
         grid: of the integration.
         rounds: of the chord method.
-        rest: slack that active constraints are to be left with; by default what they have, if any.
+        target_slack: slack of the active constraints after the correction; by default their own, if positive.
 
     Returns:
-        The corrected candidate; or the candidate itself, should that lack less.
+        The corrected candidate; or the candidate itself, if its defect is not halved.
     """
     n = problem.state_size
 
-    def round_(z, _):
+    def one_round(z, _):
         out = evaluate(problem, z, grid)
         slack = slacks(problem, out)
-        slack = jnp.minimum(slack, 0.0) if rest is None else slack - rest
+        slack = jnp.minimum(slack, 0.0) if target_slack is None else slack - target_slack
         right = riccati.KKTVector(
-            # Dilation needs no pull: its limits are linear, so that the candidate keeps them.
-            nodes=-by.hold * onto_nodes(problem, by.active.pull(slack)),
+            # No term for the dilation: its limits are linear, so that the candidate satisfies them.
+            nodes=-by.penalty * sum_onto_nodes(problem, by.active.penalty_gradient(slack)),
             flow=(z[1:, :n] - out.end) / by.scale[:n],
             initial=jnp.zeros(by.factor.problem.initial.shape[0], z.dtype),
             final=-end_condition(problem, z[-1, :n]),
@@ -109,7 +108,7 @@ def corrected(
         dilation = jnp.clip(z[:, -1], problem.dilation_min, problem.dilation_max)
         return z.at[:, -1].set(dilation), None
 
-    better, _ = jax.lax.scan(round_, candidate, None, length=rounds)
+    better, _ = jax.lax.scan(one_round, candidate, None, length=rounds)
     before, after = (_total_defect(problem, z, grid) for z in (candidate, better))
     return jnp.where(after < 0.5 * before, better, candidate)
 

@@ -1,7 +1,9 @@
-"""What a planner returns. It and its parts are apart from what makes them: a planner from a file needs no more."""
+"""The solution of a problem. A planner from a file needs this module and its imports, and no solver."""
+
+from typing import Any
 
 import equinox as eqx
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float
 
 from jaxscp.core.status import StatusCode
 from jaxscp.core.types import Count, Flag, Scalar
@@ -12,27 +14,29 @@ from jaxscp.verification.certificate import Certificate
 
 
 class Solution(eqx.Module):
-    """A planned flight and what is known about it: look at ``status`` first. Never NaN, and finite but for the
-    certificate of a flight that cannot be integrated."""
+    """A planned trajectory with its checks: look at ``status`` first.
+
+    Values are finite, but for the certificate of a trajectory that cannot be integrated.
+    """
 
     status: StatusCode
-    """``converged`` only where the iterations converged and the certificate agrees."""
+    """``converged`` only if the iterations converged and the certificate passed."""
     trajectory: Trajectory
     cost: Scalar
-    """w_u integral |u| dt + w_t t_f."""
+    """Running and terminal cost of the problem."""
     final_time: Scalar
     """s"""
     iterations: Count
     """Subproblems solved."""
-    newton_steps: Count
-    """Steps of the interior point that went from the last subproblem's point to the optimum."""
+    interior_point_iterations: Count
+    """Newton steps of the interior point, from the last subproblem's point to the optimum."""
     differentiable: Flag
-    """Whether the plan is an optimum to rounding, so that it has derivatives; else those asked for are NaN."""
+    """Whether the solution is an optimum to rounding, so that it has derivatives; else requested ones are NaN."""
     multipliers: Multipliers | None
-    """Prices of the flow, of the conditions at both ends and of the constraints; None where the method has none."""
+    """Of the dynamics, of the conditions at both ends and of the constraints; None for a method without them."""
     certificate: Certificate
     history: History
     z: Float[Array, "nodes variables"]
     """Node variables: the warm start of a re-plan."""
-    allocation: Int[Array, "intervals"]
-    """Polytope of every interval."""
+    context: Any
+    """Data that the scenario built its problem with; for a landing, the polytope of every interval."""

@@ -1,8 +1,8 @@
 """Exact discretisation under first-order hold by the state-transition matrix (equations 12-18).
 
-Within an interval, control and dilation are linear in scaled time. The end of the interval as a function of
-(z_i, u_{i+1}) is integrated by RK4; its forward-mode derivative integrates the variational equations with the
-same steps (the inverse-free form), so that A, B- and B+ are the exact Jacobians of the discrete flow.
+Within an interval, control and dilation are linear in scaled time. RK4 integrates the end of the interval as a function
+of (z_i, u_{i+1}). Its forward-mode derivative integrates the variational equations with the same steps (the
+inverse-free form). So A, B- and B+ are the exact Jacobians of the discrete flow.
 """
 
 import equinox as eqx

@@ -1,4 +1,4 @@
-"""Where variables lie: a node's z = (state, controls, dilation), an interval's w_i = (z_i, u_{i+1})."""
+"""Order of the variables: a node's z = (state, controls, dilation), an interval's w_i = (z_i, u_{i+1})."""
 
 import jax
 import jax.numpy as jnp
@@ -9,21 +9,21 @@ from jaxscp.problem.trajectory import Trajectory
 
 
 def interval_inputs(problem: OptimalControlProblem, z: Float[Array, "nodes variables"]):
-    """w_i = (z_i, u_{i+1}) for every interval."""
+    """w_i = (z_i, u_{i+1}) of every interval, (intervals, inputs)."""
     return jnp.concatenate([z[:-1], z[1:, problem.state_size :]], axis=1)
 
 
-def onto_nodes(
+def sum_onto_nodes(
     problem: OptimalControlProblem, intervals: Float[Array, "intervals inputs"]
 ) -> Float[Array, "nodes variables"]:
-    """Sum what intervals say of their variables, by nodes: the adjoint of ``interval_inputs``."""
+    """Sums over intervals, by node variables: the adjoint of ``interval_inputs``."""
     stage, states = problem.variables, problem.state_size
     nodes = jnp.zeros((problem.nodes, stage), intervals.dtype).at[:-1].set(intervals[:, :stage])
     return nodes.at[1:, states:].add(intervals[:, stage:])
 
 
 def stage_sizes(problem: OptimalControlProblem, sizes: Float[Array, "variables"]) -> Float[Array, "inputs"]:
-    """Sizes of a node's variables, for a stage's."""
+    """Typical sizes of an interval's variables, from the sizes of a node's variables."""
     return jnp.concatenate([sizes, sizes[problem.state_size :]])
 
 
@@ -32,13 +32,13 @@ def cost_gradient(
     z: Float[Array, "nodes variables"],
     running: Float[Array, "intervals inputs"],
 ) -> Float[Array, "nodes inputs"]:
-    """Gradient of running and terminal cost by stages; ``running`` is that of every interval's running cost."""
+    """Gradient of the whole cost by stages, from the gradient ``running`` of every interval's running cost."""
     terminal = jax.grad(lambda z: terminal_cost(problem, z))(z)
     idle = running.shape[1] - problem.variables
     return jnp.pad(terminal, ((0, 0), (0, idle))).at[:-1].add(running)
 
 
 def trajectory_of(problem: OptimalControlProblem, z: Float[Array, "nodes variables"]) -> Trajectory:
-    """The trajectory that node variables stand for."""
+    """The trajectory of node variables."""
     state, _, control, dilation = jax.vmap(problem.split)(z)
     return Trajectory(node_times(dilation), state, control, dilation)

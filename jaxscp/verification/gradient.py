@@ -1,5 +1,4 @@
-"""The judge's own gradient of the Lagrangian: every interval flown again by an eighth-order method that the solver does
-not use, and differentiated in reverse."""
+"""The verifier's own gradient of the Lagrangian, by an integration method that the solver does not use."""
 
 import jax
 from jaxtyping import Array, Float
@@ -10,19 +9,22 @@ from jaxscp.problem.multipliers import Multipliers
 from jaxscp.problem.problem import OptimalControlProblem
 from jaxscp.transcription.lagrangian import lagrangian
 from jaxscp.transcription.layout import interval_inputs
-from jaxscp.transcription.shooting import Grid, Outputs, given, intervals_of, outputs
+from jaxscp.transcription.shooting import Grid, Outputs, by_constraint, interval_data, intervals_of
 from jaxscp.verification.integrator.method import eighth_order
 
 
-def reflown_gradient(
+def verified_gradient(
     problem: OptimalControlProblem, z: Float[Array, "nodes variables"], y: Multipliers, grid: Grid
 ) -> Float[Array, "nodes variables"]:
-    """Of the Lagrangian, with respect to the node variables."""
-    return jax.grad(lambda z: lagrangian(problem, z, reflown(problem, z, grid), y))(z)
+    """Gradient of the Lagrangian with respect to the node variables, in reverse mode."""
+    return jax.grad(lambda z: lagrangian(problem, z, integrated_outputs(problem, z, grid), y))(z)
 
 
-def reflown(problem: OptimalControlProblem, z: Float[Array, "nodes variables"], grid: Grid) -> Outputs:
-    """What ``intervals.evaluate`` says, by one step of the method for every stretch between two points."""
+def integrated_outputs(
+    problem: OptimalControlProblem, z: Float[Array, "nodes variables"], grid: Grid
+) -> Outputs:
+    """The outputs of ``shooting.evaluate``, by one eighth-order step of every subinterval."""
     ours = intervals_of(problem, grid)
-    theirs = Intervals(ours.rate, ours.states, eighth_order(), grid.points, 1, ours.path_outputs)
-    return outputs(problem, in_jax.evaluate(theirs, interval_inputs(problem, z), given(problem, grid)))
+    theirs = Intervals(ours.rate, ours.states, eighth_order(), grid.subintervals, 1, ours.path_outputs)
+    outputs = in_jax.evaluate(theirs, interval_inputs(problem, z), interval_data(problem, grid))
+    return by_constraint(problem, outputs)

@@ -1,4 +1,4 @@
-"""Planners compiled before their first call, stored, and loaded by another process."""
+"""Planners compiled ahead of time, stored, and loaded by another process."""
 
 import dataclasses
 import json
@@ -16,13 +16,13 @@ import pytest
 import jaxscp
 from jaxscp import scenarios
 from jaxscp.aot import cache_folder
-from jaxscp.aot.planner_cache import kept
+from jaxscp.aot.planner_cache import cached
 from jaxscp.aot.pytree_spec import difference, spec_of, zeros_of
 from jaxscp.backends import libraries
 from jaxscp.conic import OSQP
 from jaxscp.conic.interior_point import InteriorPoint
 
-# The paper's mode on few nodes, because it compiles soonest.
+# The paper's mode on few nodes: the shortest compilation.
 PLANNER = jaxscp.Planner(nodes=10, method=jaxscp.PTR(max_iterations=6), samples=20)
 
 FRESH = """
@@ -50,9 +50,9 @@ def expected(scenario):
 
 
 @pytest.fixture(scope="module")
-def answer(loaded, scenario):
-    """Of the loaded planner: to compile the planner itself as well takes as long as all other tests here."""
-    return loaded(scenario)
+def answer(from_file, scenario):
+    """Plan of the loaded planner. Compilation of the planner itself would take as long as all other tests here."""
+    return from_file(scenario)
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +63,7 @@ def file(scenario, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def loaded(file):
+def from_file(file):
     return jaxscp.load(file)
 
 
@@ -75,12 +75,12 @@ def assert_same(found, expected):
 
 
 @pytest.mark.slow
-def test_a_loaded_planner_gives_the_same_bits(loaded, scenario, expected):
-    assert_same(loaded(scenario), expected)
+def test_a_loaded_planner_gives_the_same_bits(from_file, scenario, expected):
+    assert_same(from_file(scenario), expected)
 
 
 def planned_afresh(file, tmp_path, *needless):
-    """Leaves of the plan by another process, which imports none of these."""
+    """Leaves of the plan by another process, which imports none of these modules."""
     found = tmp_path / "answer.npz"
     subprocess.run(
         [sys.executable, "-c", FRESH, file, found, *needless],
@@ -93,7 +93,7 @@ def planned_afresh(file, tmp_path, *needless):
 
 def test_a_fresh_process_loads_and_plans_without_tracing(file, answer, tmp_path):
     compiled = all(library.available() for library in libraries.EVERY)
-    needless = ["scipy.linalg"] if compiled else []  # what JAX imports for LAPACK's sake
+    needless = ["scipy.linalg"] if compiled else []  # JAX imports this module for LAPACK
     for one, other in zip(planned_afresh(file, tmp_path, *needless), jax.tree.leaves(answer), strict=True):
         np.testing.assert_array_equal(one, other)
 
@@ -109,28 +109,28 @@ def test_a_fresh_process_finds_the_lapack_that_a_planner_calls(scenario, tmp_pat
         np.testing.assert_array_equal(one, other)
 
 
-def test_a_loaded_planner_refuses_what_the_planner_refuses(loaded, scenario):
+def test_a_loaded_planner_refuses_what_the_planner_refuses(from_file, scenario):
     heavy = eqx.tree_at(lambda s: s.airframe.body.mass, scenario, jnp.array(40.0))
     with pytest.raises(jaxscp.InvalidScenario, match="airframe"):
-        loaded(heavy)
+        from_file(heavy)
 
 
-def test_another_shape_is_named(loaded, scenario):
+def test_another_shape_is_named(from_file, scenario):
     with pytest.raises(
         TypeError, match=r"corridor\.normals: float64 of shape \(3, .*\) expected, got .* \(5, "
     ):
-        loaded(scenarios.platform_to_platform())
+        from_file(scenarios.platform_to_platform())
     with pytest.raises(TypeError, match=r"limits\.speed: None expected, got float64 of shape \(\)"):
-        loaded(dataclasses.replace(scenario, limits=jaxscp.flight_limits(speed=3.0)))
+        from_file(dataclasses.replace(scenario, limits=jaxscp.flight_limits(speed=3.0)))
 
 
-def test_obstacles_are_no_part_of_the_shape(loaded, scenario, answer):
-    assert_same(loaded(dataclasses.replace(scenario, obstacles=scenario.obstacles[:5])), answer)
+def test_obstacles_are_no_part_of_the_shape(from_file, scenario, answer):
+    assert_same(from_file(dataclasses.replace(scenario, obstacles=scenario.obstacles[:5])), answer)
 
 
-def test_inside_vmap_it_says_what_to_call(loaded, scenario):
+def test_inside_vmap_it_says_what_to_call(from_file, scenario):
     with pytest.raises(TypeError, match="call the Planner itself"):
-        jax.vmap(lambda mass: loaded(eqx.tree_at(lambda s: s.airframe.body.mass, scenario, mass)))(
+        jax.vmap(lambda mass: from_file(eqx.tree_at(lambda s: s.airframe.body.mass, scenario, mass)))(
             jnp.ones(2)
         )
 
@@ -183,12 +183,12 @@ def test_a_file_from_elsewhere(file, tmp_path, changes, message):
         jaxscp.load(with_header(file, tmp_path / "other", **changes), compile=False)
 
 
-def test_single_precision_is_refused(file, loaded, scenario):
+def test_single_precision_is_refused(file, from_file, scenario):
     with jax.enable_x64(False):
         with pytest.raises(jaxscp.InvalidExport, match="jax_enable_x64"):
             jaxscp.load(file)
         with pytest.raises(jaxscp.InvalidScenario, match="jax_enable_x64"):
-            loaded(scenario)
+            from_file(scenario)
 
 
 def test_a_folder_that_is_not_there_is_no_place_for_a_file(scenario, tmp_path):
@@ -217,15 +217,15 @@ def test_the_portable_form_gives_the_same_bits_here(file, tmp_path, scenario, ex
 
 
 @pytest.mark.slow
-def test_lanes_are_those_of_vmap(scenario):
-    lanes = jax.tree.map(lambda v: jnp.stack([v] * 3), scenario)
-    masses = lanes.airframe.body.mass * jnp.array([1.0, 1.1, jnp.nan])
-    lanes = eqx.tree_at(lambda s: s.airframe.body.mass, lanes, masses)
-    compiled = PLANNER.compile(scenario, lanes=3)
-    found = compiled(lanes)
-    assert_same(found, jax.vmap(PLANNER)(lanes))
+def test_a_batch_is_that_of_vmap(scenario):
+    batch = jax.tree.map(lambda v: jnp.stack([v] * 3), scenario)
+    masses = batch.airframe.body.mass * jnp.array([1.0, 1.1, jnp.nan])
+    batch = eqx.tree_at(lambda s: s.airframe.body.mass, batch, masses)
+    compiled = PLANNER.compile(scenario, batch_size=3)
+    found = compiled(batch)
+    assert_same(found, jax.vmap(PLANNER)(batch))
     assert jaxscp.status_names(found.status)[2] == "invalid_input"
-    with pytest.raises(TypeError, match=r"body\.mass: a leading axis of 3 lanes expected, got shape \(\)"):
+    with pytest.raises(TypeError, match=r"body\.mass: a leading axis of 3 elements expected, got shape \(\)"):
         compiled(scenario)
 
 
@@ -242,7 +242,7 @@ jax.config.update("jax_enable_x64", True)
 import jaxscp
 jaxscp.use_cache(sys.argv[1])
 scenario = jaxscp.scenarios.ascent_to_platform()
-planner = jaxscp.Planner(nodes=10, method=jaxscp.SCP(max_iterations=4), samples=20)
+planner = jaxscp.Planner(nodes=10, method=jaxscp.PTR(max_iterations=4), samples=20)
 solution = planner(scenario)
 jaxscp.use_cache(None)
 expected = planner(scenario)
@@ -250,31 +250,31 @@ assert all((a == b).all() for a, b in zip(jax.tree.leaves(solution), jax.tree.le
 """
 NOTHING_TRACED = """
 def traced(*arguments):
-    raise AssertionError("a kept planner was traced")
+    raise AssertionError("a cached planner was traced")
 
-jaxscp.Planner.setup = jaxscp.Planner.conclude = traced
+jaxscp.Planner.setup = jaxscp.Planner.trace = traced
 """
 
 
-def kept_planners(folder):
+def cached_planners(folder):
     return sorted(file.name for file in folder.glob("planner-*"))
 
 
 @pytest.mark.slow
-def test_a_kept_planner_is_found_by_the_next_process(tmp_path):
-    """Which traces nothing, gets the same bits, and makes anew what is damaged."""
+def test_a_cached_planner_is_found_by_the_next_process(tmp_path):
+    """The next process traces nothing, gets the same bits, and replaces a damaged file."""
     run = lambda code: subprocess.run(  # noqa: E731
         [sys.executable, "-c", code, tmp_path], check=True, capture_output=True, text=True
     )
     run(CACHED)
-    (name,) = kept_planners(tmp_path)
+    (name,) = cached_planners(tmp_path)
     head, tail = CACHED.split("solution = ")
     plan_only = f"{head}{NOTHING_TRACED}solution = planner(scenario)\nassert float(solution.cost) > 0.0\n"
     run(plan_only)
     (tmp_path / name).write_bytes(b"damaged")
     assert "made again" in run(f"{head}solution = {tail}").stderr
     run(plan_only)
-    assert kept_planners(tmp_path) == [name]
+    assert cached_planners(tmp_path) == [name]
 
 
 def test_a_folder_that_cannot_be_made_is_not_in_use(scenario, tmp_path):
@@ -285,10 +285,10 @@ def test_a_folder_that_cannot_be_made_is_not_in_use(scenario, tmp_path):
 
 
 def test_calls_that_are_not_for_the_default_device_compile_as_jax_does(scenario):
-    with jax.default_device(jax.devices()[0]):  # which others may follow in place of the default
-        assert kept(PLANNER, scenario) is None
+    with jax.default_device(jax.devices()[0]):  # code inside may use another default device
+        assert cached(PLANNER._maker(), scenario) is None
     with jax.disable_jit():
-        assert kept(PLANNER, scenario) is None
+        assert cached(PLANNER._maker(), scenario) is None
 
 
 def test_replans_share_what_plans_have_compiled(scenario, monkeypatch):
@@ -301,34 +301,34 @@ def test_replans_share_what_plans_have_compiled(scenario, monkeypatch):
 
 
 @pytest.mark.slow
-def test_what_a_name_does_not_tell_is_not_kept(scenario, tmp_path):
+def test_code_of_other_packages_is_not_cached(scenario, tmp_path):
     class Mine(jaxscp.PTR):
-        """A method of the user's own, of which another process may know another version."""
+        """A method defined by the user; another process may have another version of the class."""
 
-    method = Mine(max_iterations=1)
+    method, inputs = Mine(max_iterations=1), scenario.solver_inputs()
     jaxscp.use_cache(tmp_path)
     try:
-        assert kept(jaxscp.Planner(nodes=10, method=method), scenario) is not None
+        assert cached(jaxscp.Planner(nodes=10, method=method)._maker(), inputs) is not None
         own_solver = jaxscp.PTR(max_iterations=1, conic=lambda p, a, n: InteriorPoint()(p, a, n))
-        assert kept(jaxscp.Planner(nodes=10, method=own_solver), scenario) is not None
-        jax.jit(lambda: kept(PLANNER, scenario) is None or 1 / 0)()
+        assert cached(jaxscp.Planner(nodes=10, method=own_solver)._maker(), inputs) is not None
+        jax.jit(lambda: cached(PLANNER._maker(), inputs) is None or 1 / 0)()
     finally:
         jaxscp.use_cache(None)
-    assert not kept_planners(tmp_path)
+    assert not cached_planners(tmp_path)
 
 
 @pytest.mark.slow
-def test_a_solver_on_the_host_plans_though_it_cannot_be_kept(scenario, tmp_path):
+def test_a_solver_on_the_host_plans_though_it_cannot_be_cached(scenario, tmp_path):
     planner = jaxscp.Planner(nodes=10, method=jaxscp.PTR(max_iterations=1, conic=OSQP()), samples=20)
     expected = planner(scenario)
     jaxscp.use_cache(tmp_path)
     try:
-        with pytest.warns(UserWarning, match="cannot be kept"):
+        with pytest.warns(UserWarning, match="cannot be cached"):
             found = planner(scenario)
     finally:
         jaxscp.use_cache(None)
     assert_same(found, expected)
-    assert not kept_planners(tmp_path)
+    assert not cached_planners(tmp_path)
 
 
 @pytest.mark.slow
@@ -347,7 +347,7 @@ def test_a_cache_is_filled_and_only_when_asked_for(tmp_path):
 
 @pytest.mark.slow
 def test_an_export_is_whole_though_its_programs_are_in_a_cache(tmp_path):
-    """On the CPU, a program that came out of JAX's cache lacks functions when it is stored again."""
+    """On the CPU, a program from JAX's cache lacks functions when stored again."""
     program = (
         "import sys, jax\n"
         "jax.config.update('jax_enable_x64', True)\n"

@@ -1,4 +1,4 @@
-"""Scenarios as people write them down: nothing is compiled for what is known, and what is traced stays traced."""
+"""Scenarios from concrete and from traced numbers: concrete ones compile nothing, traced ones stay traced."""
 
 import logging
 
@@ -55,7 +55,7 @@ def test_it_is_the_same_when_traced(write):
 
 
 def test_what_is_known_is_not_compiled(caplog):
-    """Nowhere else are arrays of these sizes made."""
+    """No other test makes arrays of these sizes."""
     with jax.log_compiles(), caplog.at_level(logging.DEBUG, "jax"):
         jax.jit(lambda: jnp.zeros(71))()
         assert "compilation" in caplog.text
@@ -67,7 +67,7 @@ def test_what_is_known_is_not_compiled(caplog):
 
 
 def test_a_vehicle_has_derivatives():
-    """The torque of an upright rotor grows with the arm as its distance does."""
+    """The torque of an upright rotor is proportional to its arm."""
 
     def of_arm(arm):
         return vehicle([1.0, arm, 5.0]).body.torque_map

@@ -1,4 +1,4 @@
-"""Loops in rounds: every lane ends where it would alone, and no lane is stepped once it has ended."""
+"""Batched loops: each batch element has the same result as alone, and is not stepped after its end."""
 
 import os
 import subprocess
@@ -12,11 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxscp.core import batching
-from jaxscp.core.batching import TILE
+from jaxscp.core.batching import CHUNK
 
-ROUNDING = 1e-14  # relative: a batch may fuse a product and a sum that one lane does not
-FULL = TILE["cpu"][0]
-LARGEST = 3 * FULL + 5  # lanes: several tiles, and one that is not full
+ROUNDING = 1e-14  # relative: a batch may fuse a product and a sum, and one element alone may not
+FULL = CHUNK["cpu"][0]
+LARGEST = 3 * FULL + 5  # batch elements: several chunks, and one that is not full
 
 
 def grow(factor, shift, times, start):
@@ -39,7 +39,7 @@ def by_hand(factor, shift, times, start):
 
 @settings(max_examples=25, deadline=None)
 @given(st.lists(st.integers(0, 30), min_size=1, max_size=LARGEST))
-def test_every_lane_ends_where_it_would_alone(counts):
+def test_every_element_ends_where_it_would_alone(counts):
     times = jnp.zeros(LARGEST, int).at[: len(counts)].set(jnp.array(counts))  # one shape, one compilation
     factor, start = jnp.linspace(0.9, 1.1, LARGEST), jnp.arange(LARGEST * 2.0).reshape(-1, 2)
     left, v = BATCHED(factor, 0.1, times, start)
@@ -52,11 +52,11 @@ BATCHED = jax.jit(jax.vmap(grow, in_axes=(0, None, 0, 0)))
 
 
 @pytest.mark.parametrize("sizes", [(8, 2), (5, 3), (40, 3)])
-def test_the_few_that_are_left_are_stepped_by_smaller_tiles(monkeypatch, sizes):
-    monkeypatch.setitem(batching.TILE, "cpu", sizes)
+def test_the_few_that_are_left_are_stepped_by_smaller_chunks(monkeypatch, sizes):
+    monkeypatch.setitem(batching.CHUNK, "cpu", sizes)
     rounds = [8 * [3] + 3 * [1] + 12 * [2], LARGEST * [1], [0] * (LARGEST - 1) + [2]]
     factor, start = jnp.linspace(0.9, 1.1, LARGEST), jnp.arange(LARGEST * 2.0).reshape(-1, 2)
-    run = jax.jit(lambda *given: jax.vmap(grow, in_axes=(0, None, 0, 0))(*given))  # for these sizes
+    run = jax.jit(lambda *given: jax.vmap(grow, in_axes=(0, None, 0, 0))(*given))  # compiles for these sizes
     for counts in rounds:
         times = jnp.zeros(LARGEST, int).at[: len(counts)].set(jnp.array(counts))
         left, v = run(factor, 0.1, times, start)
@@ -74,15 +74,15 @@ def test_a_batch_of_batches_is_one_larger_batch():
         np.testing.assert_allclose(v[i, j], by_hand(factor[i], 0.5, times[j], start[i]), rtol=ROUNDING)
 
 
-def test_a_lane_that_has_ended_is_not_stepped_again():
+def test_an_element_that_has_ended_is_not_stepped_again():
     def step(_, state):
-        return state[0] - 1, jnp.where(state[0] > 0, state[1], jnp.nan)  # a step too many would show
+        return state[0] - 1, jnp.where(state[0] > 0, state[1], jnp.nan)  # a superfluous step gives NaN
 
     run = jax.vmap(lambda times: batching.while_loop(lambda s: s[0] > 0, step, None, (times, jnp.ones(()))))
     np.testing.assert_array_equal(run(jnp.array([0, 1, 17, 3]))[1], 1.0)
 
 
-def test_a_tile_is_filled_up_with_lanes_that_have_ended():
+def test_a_chunk_is_filled_up_with_elements_that_have_ended():
     stepped = []
 
     def step(_, left):
@@ -117,7 +117,7 @@ def test_gradients_go_round_it():
 
 
 def test_batches_share_what_is_not_their_own():
-    """Three axes, each with an array of its own, and one that two of them index."""
+    """Three batch axes: one array for each axis, and one array over two axes."""
 
     def one(a, b, c, times):
         step = lambda fixed, s: (s[0] - 1, fixed[0] * s[1] + fixed[1] * fixed[2])  # noqa: E731
@@ -129,20 +129,21 @@ def test_batches_share_what_is_not_their_own():
     planes = jax.vmap(rows, in_axes=(0, None, None, 0))  # a and times
     found = jax.vmap(planes, in_axes=(None, None, 0, None))(a, b, c, times)
     for k, i, j in np.ndindex(4, 2, 3):
-        wanted = by_hand(float(a[i]), float(b[j] * c[k, j]), times[i, j], 1.0)
-        np.testing.assert_allclose(found[k, i, j], wanted, rtol=ROUNDING)
+        expected = by_hand(float(a[i]), float(b[j] * c[k, j]), times[i, j], 1.0)
+        np.testing.assert_allclose(found[k, i, j], expected, rtol=ROUNDING)
 
 
 ON_TWO_DEVICES = """
 import jax, jax.numpy as jnp
 from jax.sharding import AxisType, PartitionSpec as P
-from jaxscp import lanes
+from jaxscp.core import batching
 
 def count(times):
-    return lanes.while_loop(lambda s: s[0] > 0, lambda _, s: (s[0] - 1, 2 * s[1]), None, (times, jnp.ones((), int)))[1]
+    return batching.while_loop(lambda s: s[0] > 0, lambda _, s: (s[0] - 1, 2 * s[1]), None, (times, jnp.ones((),
+    int)))[1]
 
-mesh = jax.make_mesh((2,), ("lanes",), axis_types=(AxisType.Auto,))
-spec = P("lanes")
+mesh = jax.make_mesh((2,), ("batch",), axis_types=(AxisType.Auto,))
+spec = P("batch")
 both = jax.jit(jax.shard_map(jax.vmap(count), mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False))
 found = both(jnp.arange(20) % 7)
 assert len(found.sharding.device_set) == 2
@@ -150,7 +151,7 @@ print(*found)
 """
 
 
-def test_each_device_steps_its_own_lanes():
+def test_each_device_steps_its_own_elements():
     devices = {"XLA_FLAGS": "--xla_force_host_platform_device_count=2", "JAX_PLATFORMS": "cpu"}
     done = subprocess.run(
         [sys.executable, "-c", ON_TWO_DEVICES],
@@ -163,15 +164,17 @@ def test_each_device_steps_its_own_lanes():
     np.testing.assert_array_equal([int(v) for v in done.stdout.split()], 2 ** (np.arange(20) % 7))
 
 
-@pytest.mark.parametrize("lanes_of", [(3,), (20,), (2, 9)], ids=str)
-def test_tiles_give_what_all_lanes_at_once_give(lanes_of):
-    """Also with another argument that the lanes share, in two batches inside each other, and in none."""
-    own = jax.random.normal(jax.random.key(0), (*lanes_of, 4))
+@pytest.mark.parametrize("shape", [(3,), (20,), (2, 9)], ids=str)
+def test_chunks_have_the_results_of_the_whole_batch(shape):
+    """Also with an argument that the batch elements share, in two nested batches, and without a batch."""
+    own = jax.random.normal(jax.random.key(0), (*shape, 4))
     shared = jnp.arange(4.0)
     act = lambda fixed: {"dot": jnp.vdot(*fixed), "sum": fixed[0] + fixed[1]}  # noqa: E731
-    tiled, plain = lambda v: batching.in_tiles(act, (v, shared)), lambda v: act((v, shared))
-    for _ in lanes_of:
-        tiled, plain = jax.vmap(tiled), jax.vmap(plain)
-    jax.tree.map(np.testing.assert_allclose, jax.jit(tiled)(own), plain(own))
-    alone = own[(0,) * len(lanes_of)]
-    jax.tree.map(np.testing.assert_array_equal, batching.in_tiles(act, (alone, shared)), act((alone, shared)))
+    chunked, plain = lambda v: batching.in_chunks(act, (v, shared)), lambda v: act((v, shared))
+    for _ in shape:
+        chunked, plain = jax.vmap(chunked), jax.vmap(plain)
+    jax.tree.map(np.testing.assert_allclose, jax.jit(chunked)(own), plain(own))
+    alone = own[(0,) * len(shape)]
+    jax.tree.map(
+        np.testing.assert_array_equal, batching.in_chunks(act, (alone, shared)), act((alone, shared))
+    )

@@ -1,4 +1,4 @@
-"""Thrust and torque maps of the presets, against the geometry that they are meant to describe."""
+"""Thrust and torque maps of the presets, compared with the geometry of the vehicles."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -79,13 +79,13 @@ def test_torque_is_lever_plus_drag(rotors, tilt):
         axis = np.asarray(body.thrust_map[:, i])
         np.testing.assert_allclose(np.linalg.norm(axis), 1.0, atol=ROUNDING)
         np.testing.assert_allclose(axis[2], np.cos(tilt), atol=ROUNDING)
-        np.testing.assert_allclose(axis @ position, 0.0, atol=ROUNDING)  # it leans about its arm
+        np.testing.assert_allclose(axis @ position, 0.0, atol=ROUNDING)  # the rotor is tilted about its arm
         torque = np.cross(position, axis) + ratio * spin[i] * axis
         np.testing.assert_allclose(body.torque_map[:, i], torque, atol=ROUNDING)
 
 
 def test_tilted_rotors_yaw_by_thrust():
-    """Leaning rotors have several times the yaw torque of drag alone."""
+    """Tilted rotors have several times the yaw torque of drag alone."""
     upright, tilted = airframes.paper_mav().body, airframes.tilted_quadrotor().body
     assert float(jnp.min(jnp.abs(tilted.torque_map[2] / upright.torque_map[2]))) > 2.0
 

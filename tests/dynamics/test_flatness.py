@@ -1,4 +1,4 @@
-"""The flight along a path, and the guess: what flies as the path says, by the equations of motion themselves."""
+"""States and thrusts along a path, and the guess, compared with the equations of motion."""
 
 import dataclasses
 
@@ -40,7 +40,7 @@ def test_a_turn_has_its_rate_and_its_torque():
     size = jnp.linalg.norm(half, axis=1, keepdims=True)
     attitude = jnp.concatenate([jnp.cos(size), half * jnp.sinc(size / jnp.pi)], axis=1)
     found = flatness.body_rates(attitude, jnp.asarray(interval))
-    np.testing.assert_allclose(found[1:-1], jnp.stack([rate] * 3), rtol=1e-6)  # of central differences
+    np.testing.assert_allclose(found[1:-1], jnp.stack([rate] * 3), rtol=1e-6)  # error of central differences
     thrust = flatness.thrusts(BODY, jnp.zeros((5, 3)), jnp.stack([rate] * 5), jnp.asarray(interval))
     torque = BODY.torque_map @ thrust[2]
     np.testing.assert_allclose(torque, jnp.cross(rate, BODY.inertia @ rate), atol=ROUNDING)
@@ -53,7 +53,7 @@ def test_no_axis_to_turn_about_gives_an_attitude_all_the_same(force):
     np.testing.assert_allclose(jnp.linalg.norm(found), 1.0, atol=ROUNDING)
 
 
-GUESS = jax.jit(initial_guess)  # compiled once for a mission
+GUESS = jax.jit(initial_guess)  # compiled once for each mission
 
 
 def guess_of(scenario):
@@ -68,7 +68,7 @@ def test_the_guess_is_nearly_a_flight(mission):
     np.testing.assert_allclose(guess.dilation, guess_time(scenario, allocation))
     interval = guess.dilation[0] / (NODES - 1)
     rate = jax.vmap(scenario.airframe.body)(guess.states, guess.controls)
-    # over an interval by its ends, against what changes: as far as rates change within an interval
+    # trapezoid rule over an interval against the change of state; rates change within an interval
     change = jnp.diff(guess.states, axis=0) - 0.5 * interval * (rate[1:] + rate[:-1])
     moved = jnp.abs(jnp.diff(guess.states, axis=0))
     assert float(jnp.max(jnp.abs(change[:, :3]))) < 0.05 * float(jnp.max(moved[:, :3]))

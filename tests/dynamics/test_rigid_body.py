@@ -99,7 +99,7 @@ def test_moving_the_world_changes_nothing(body):
 
 @bodies
 def test_free_flight_conserves_energy_and_angular_momentum(body):
-    """Without thrust: total energy and the angular momentum in the world stay, and |q| stays one."""
+    """Without thrust, total energy and angular momentum in world axes are constant, and |q| = 1."""
     idle = jnp.zeros(body.control_size)
     flight = solve_ivp(
         lambda _, y: np.asarray(rate_of(body, jnp.asarray(y), idle)),

@@ -62,7 +62,7 @@ def test_conjugate_undoes(q):
 @few
 @given(quaternions(), vectors)
 def test_attitude_rate_turns_the_body_axes(q, body_rate):
-    """dR/dt = R [w]x along the quaternion's rate, and the norm of q stays."""
+    """dR/dt = R [w]x along the quaternion's rate, and |q| is constant."""
     rate = rotations.quaternion_rate(q, jnp.asarray(body_rate))
     _, turning = jax.jvp(rotations.rotation_matrix, (q,), (rate,))
     cross = np.cross(np.eye(3), body_rate)  # row i: e_i x w, so this is [w]x
@@ -75,7 +75,7 @@ def test_attitude_rate_turns_the_body_axes(q, body_rate):
 def test_angle_between_is_scipys_whatever_the_signs(a, b):
     angle = (scipy_rotation(a).inv() * scipy_rotation(b)).magnitude()
     for q in (b, -b):
-        np.testing.assert_allclose(rotations.angle_between(a, q), angle, atol=1e-7)  # arctan of a root
+        np.testing.assert_allclose(rotations.angle_between(a, q), angle, atol=1e-7)  # arctan of a square root
 
 
 @few
@@ -83,12 +83,12 @@ def test_angle_between_is_scipys_whatever_the_signs(a, b):
 def test_attitude_error_is_half_the_rotation_vector(target, direction):
     small = 1e-4 * direction
     turned = rotations.multiply(target, jnp.asarray(Rotation.from_rotvec(small).as_quat()[[3, 0, 1, 2]]))
-    for q in (turned, -turned):  # both signs stand for one attitude
+    for q in (turned, -turned):  # both signs are the same attitude
         np.testing.assert_allclose(rotations.attitude_error(q, target), small / 2, atol=1e-12)
 
 
 def test_a_level_vehicles_thrust_does_not_lengthen_with_the_quaternion():
-    """Linearised steps let |q| drift; the chosen polynomial must not turn that into thrust."""
+    """Linearised steps let |q| drift; the chosen polynomial must not convert the drift into thrust."""
     stretched = rotations.rotation_matrix(jnp.array([1.3, 0.0, 0.0, 0.0]))
     np.testing.assert_array_equal(stretched, np.eye(3))
 
@@ -99,7 +99,7 @@ def test_heading(yaw):
     np.testing.assert_allclose(
         rotations.rotation_matrix(q) @ jnp.array([1.0, 0.0, 0.0]), [np.cos(yaw), np.sin(yaw), 0.0], atol=1e-15
     )
-    assert float(rotations.tilt(q)) < 1e-7  # arccos near one resolves no finer
+    assert float(rotations.tilt(q)) < 1e-7  # resolution of arccos near one
 
 
 def test_tilt_of_a_known_lean():

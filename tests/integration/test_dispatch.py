@@ -10,7 +10,7 @@ from jaxscp.backends import libraries
 from jaxscp.integration import dispatch, in_jax, in_tape, native, tableaus
 from jaxscp.integration.intervals import IntervalData, PathOutputs
 from jaxscp.transcription.layout import interval_inputs
-from jaxscp.transcription.shooting import Grid, given, intervals_of
+from jaxscp.transcription.shooting import Grid, interval_data, intervals_of
 from tests.support.flights import random_nodes, short_problem
 from tests.support.interval_problems import (
     COUNT,
@@ -55,7 +55,7 @@ def test_compiled_equals_jax(rate, name, method):
     ("name", "grid"),
     [
         ("evaluate", Grid()),
-        ("linearise", Grid(points=3, steps=2)),
+        ("linearise", Grid(subintervals=3, steps=2)),
         # in JAX this takes half a minute to compile
         pytest.param("linearise_with_hessian", Grid(), marks=pytest.mark.slow),
     ],
@@ -66,7 +66,7 @@ def test_compiled_equals_jax_on_a_landing_with_every_constraint(name, grid):
 
     def by(module):
         def function(problem, z, *multipliers):
-            arguments = intervals_of(problem, grid), interval_inputs(problem, z), given(problem, grid)
+            arguments = intervals_of(problem, grid), interval_inputs(problem, z), interval_data(problem, grid)
             return getattr(module, name)(*arguments, *multipliers)
 
         return function
@@ -81,7 +81,9 @@ def test_compiled_equals_jax_on_a_landing_with_every_constraint(name, grid):
 
 
 def outputs_in_jax(problem, z, grid):
-    return in_jax.evaluate(intervals_of(problem, grid), interval_inputs(problem, z), given(problem, grid))
+    return in_jax.evaluate(
+        intervals_of(problem, grid), interval_inputs(problem, z), interval_data(problem, grid)
+    )
 
 
 @pytest.mark.parametrize("rate", RATES.values(), ids=RATES)

@@ -1,4 +1,4 @@
-"""Which intervals belong to which polytope."""
+"""Allocation of intervals to polytopes."""
 
 from itertools import pairwise
 
@@ -14,7 +14,7 @@ from jaxscp.landing.allocation import IN_LAST, allocate, route_positions
 
 
 def hall(lengths):
-    """Boxes one after another along x, of given lengths, that overlap by 10 cm."""
+    """A chain of boxes along x with given lengths and overlaps of 10 cm."""
     ends = np.concatenate([[0.0], np.cumsum(lengths)])
     boxes = [box([a - 0.1, 0.0, 0.0], [b + 0.1, 2.0, 2.0]) for a, b in pairwise(ends)]
     corridor = connect(boxes, joints=[[x, 1.0, 1.0] for x in ends[1:-1]])
@@ -49,6 +49,6 @@ def test_route_is_evenly_spaced_within_each_polytope():
 
 @pytest.mark.slow
 def test_a_few_nodes_are_enough_to_land():
-    """The cone's nodes must not fall to polytopes that the cone does not reach."""
+    """The cone's nodes must not belong to polytopes that the cone does not reach."""
     solution = Planner(nodes=12)(scenarios.ascent_to_platform())
     assert status_names(solution.status) == "converged"

@@ -1,4 +1,4 @@
-"""Bad input gets an error that names the field, before anything is compiled; in a batch, a status of its own."""
+"""Invalid input raises an error with the field's name before compilation; in a batch it has its own status."""
 
 import dataclasses
 
@@ -113,10 +113,10 @@ def test_shipped_missions_are_valid(mission):
 
 
 def test_bad_lane_of_a_batch_gets_a_status_and_harms_no_other(scenario):
-    """Lanes 1 and 2 are broken; lanes 0 and 3 must come out as if the others had been well."""
-    lanes = jax.tree.map(lambda v: jnp.stack([v] * 4), scenario)
-    heavier = lanes.airframe.body.mass * jnp.array([1.0, 1.0, 1.0, 1.1])
-    well = eqx.tree_at(lambda s: s.airframe.body.mass, lanes, heavier)
+    """Batch elements 1 and 2 are invalid; elements 0 and 3 must not be affected."""
+    batch = jax.tree.map(lambda v: jnp.stack([v] * 4), scenario)
+    heavier = batch.airframe.body.mass * jnp.array([1.0, 1.0, 1.0, 1.1])
+    well = eqx.tree_at(lambda s: s.airframe.body.mass, batch, heavier)
     broken = eqx.tree_at(lambda s: s.airframe.body.mass, well, heavier.at[1].set(jnp.nan))
     broken = eqx.tree_at(lambda s: s.start.position, broken, broken.start.position.at[2].add(50.0))
     plan = jax.jit(jax.vmap(jaxscp.Planner(nodes=NODES, method=jaxscp.PTR())))

@@ -1,4 +1,4 @@
-"""Derivatives of plans: closed forms, laws of invariance, differences of plans made again, and where there are none."""
+"""Derivatives of plans: closed forms, laws of invariance, finite differences, and plans without a derivative."""
 
 import dataclasses
 
@@ -12,18 +12,16 @@ import jaxscp
 from jaxscp import NewtonSCP, scenarios
 from jaxscp.nlp.central_path import Point, conditions
 from jaxscp.problem.problem import node_times
-from jaxscp.scp.method import solve
+from jaxscp.scp.method import iterate
 from tests.system.test_general_problem import LIMIT, SWITCH, rest_to_rest, straight
 
 DISTANCE = 4.0
-RESIDUAL = 1e-7  # of the optimality conditions, at the point returned
-BARRIER = 1e-3  # relative; what the barrier and the shortest interval change of a minimum time
-LAW = 1e-4  # relative; what the room given to constraints, which does not scale, breaks of a law of scaling
-ROUNDING = 1e-8  # of sums of gradients that cancel
-DIFFERENCES = 1e-4  # relative; central ones of plans made again
-MIRROR = (
-    1e-6  # relative; what rounding, which eigenvectors do not mirror, leaves of a symmetry at two like optima
-)
+RESIDUAL = 1e-7  # residual of the optimality conditions at the returned point
+BARRIER = 1e-3  # relative; effect of the barrier and of the shortest interval on a minimum time
+LAW = 1e-4  # relative; the relaxation of constraints does not scale, and breaks scaling laws by this much
+ROUNDING = 1e-8  # error of sums of gradients that cancel
+DIFFERENCES = 1e-4  # relative; error of central differences of new plans
+MIRROR = 1e-6  # relative; eigenvectors round differently in a mirror, so symmetric optima differ by this much
 POLAR, AXIAL = jnp.array([1.0, -1.0, 1.0]), jnp.array([-1.0, 1.0, -1.0])  # vectors in a mirror across y
 
 
@@ -43,8 +41,8 @@ def flight():
                 least,
             ),
         )
-        state, answer = solve(method, problem, straight(problem, DISTANCE, 5.0))
-        return node_times(answer.z[:, -1])[-1], (problem, state, answer)
+        result = iterate(method, problem, straight(problem, DISTANCE, 5.0))
+        return node_times(result.z[:, -1])[-1], (problem, result)
 
     parameters = jnp.array([DISTANCE, LIMIT, 0.05])
     return (
@@ -56,16 +54,16 @@ def flight():
 
 @pytest.mark.slow
 def test_the_answer_is_a_root_of_the_conditions(flight):
-    _, ((_, (problem, _, answer)), _), _ = flight
-    assert bool(answer.reached)
-    point = Point(answer.z, answer.multipliers)
-    lack = jax.jit(lambda p, v: conditions(p, v, NewtonSCP().grid))(problem, point)
-    assert max(float(jnp.max(jnp.abs(v))) for v in jax.tree.leaves(lack)) < RESIDUAL
+    _, ((_, (problem, result)), _), _ = flight
+    assert bool(result.is_optimum)
+    point = Point(result.z, result.multipliers)
+    residual = jax.jit(lambda p, v: conditions(p, v, NewtonSCP().grid))(problem, point)
+    assert max(float(jnp.max(jnp.abs(v))) for v in jax.tree.leaves(residual)) < RESIDUAL
 
 
 @pytest.mark.slow
 def test_slopes_of_the_minimum_time(flight):
-    """t_f = 2 sqrt(d / a): slopes t_f / (2 d) and -t_f / (2 a)."""
+    """t_f = 2 sqrt(d / a), with derivatives t_f / (2 d) and -t_f / (2 a)."""
     _, ((time, _), slopes), _ = flight
     np.testing.assert_allclose(time, 2.0 * np.sqrt(DISTANCE / LIMIT), rtol=SWITCH)
     expected = [time / (2.0 * DISTANCE), -time / (2.0 * LIMIT)]
@@ -85,7 +83,7 @@ def test_slopes_are_differences(flight):
 @pytest.mark.slow
 def test_second_derivatives_are_refused(flight):
     parameters, _, time = flight
-    with pytest.raises(TypeError):  # never a number; JAX may notice before our own rule can say why
+    with pytest.raises(TypeError):  # no number may be returned; JAX may raise before our own rule raises
         jax.eval_shape(jax.hessian(time), parameters)
 
 
@@ -134,8 +132,10 @@ def test_translating_the_whole_scene_changes_nothing(planned):
 
 @pytest.mark.slow
 def test_a_heavier_world_takes_as_long(planned):
-    """Mass, inertia and thrust limits all times k: the same flight, with k times the thrust; and with the price of
-    effort divided by k, nothing changes at all."""
+    """Mass, inertia and thrust limits times k: the same trajectory with k times the thrust.
+
+    With the weight of effort divided by k, the cost is the same too.
+    """
     floats, plan = planned
     values, of_cost, of_time, _ = plan(floats)
 
@@ -155,7 +155,7 @@ def test_a_heavier_world_takes_as_long(planned):
 
 
 def mirrored(s):
-    """A scene, or a gradient with respect to one, in a mirror across y; every rotor then turns the other way."""
+    """A scene, or a gradient with respect to one, mirrored across y; every rotor then turns the other way."""
 
     def body(b):
         turned = (
@@ -222,7 +222,7 @@ def test_gradients_are_differences_of_plans_made_again(planned, leaf, h):
 
 @pytest.mark.slow
 def test_a_lane_without_derivative_says_so_and_harms_no_other():
-    """The second vehicle is too heavy for its rotors; masked, its gradient is zero, and asked for, NaN."""
+    """The second vehicle is too heavy for its rotors: its gradient is NaN, and zero where masked."""
     scenario = scenarios.ascent_to_platform()
     planner = jaxscp.Planner(nodes=20)
 

@@ -1,4 +1,4 @@
-"""Pictures: what is drawn, and that it is what was planned."""
+"""Pictures: the drawn curves, compared with the plan."""
 
 import dataclasses
 import subprocess
@@ -37,7 +37,7 @@ def figure(scenario, solution):
 
 @pytest.fixture(scope="module")
 def panels(figure):
-    """Flat axes by their label."""
+    """Two-dimensional axes by their label."""
     return {ax.get_ylabel(): ax for ax in figure.axes if not isinstance(ax, Axes3D)}
 
 
@@ -92,8 +92,8 @@ def test_nodes_are_marked_on_the_flown_line(panels, solution):
     lines = labelled(panels["speed [m/s]"])
     time, speed = lines["nodes"].get_data()
     np.testing.assert_allclose(time, solution.trajectory.time)
-    flown = np.interp(time, *lines["flown"].get_data())
-    np.testing.assert_allclose(flown, speed, atol=0.01)
+    sampled = np.interp(time, *lines["flown"].get_data())
+    np.testing.assert_allclose(sampled, speed, atol=0.01)
     assert len(lines["flown"].get_xdata()) == (NODES - 1) * SAMPLES
 
 
@@ -112,13 +112,13 @@ def test_scene_shows_all_there_is_to_one_scale(scene, scenario):
     }  # fmt: skip
     assert names <= set(scene.get_legend_handles_labels()[1])
     ranges = np.ptp([scene.get_xlim(), scene.get_ylim(), scene.get_zlim()], axis=1)
-    # box_aspect and data ranges in one ratio on all axes: a metre is a metre whichever way it points
+    # box_aspect and data ranges have one ratio on all axes: equal scale in all directions
     ratio = np.asarray(scene._box_aspect) / ranges
     np.testing.assert_allclose(ratio, ratio[0], rtol=1e-6)
 
 
 def test_margin_agrees_with_the_certificate(scenario, solution):
-    margin = plot.corridor_margin(scenario.corridor, plot.flown(scenario, solution, samples=200))
+    margin = plot.corridor_margin(scenario.corridor, plot.integrated(scenario, solution, samples=200))
     outside = max(-float(margin.min()), 0.0)
     at = solution.certificate.names.index("corridor")
     assert outside == pytest.approx(float(solution.certificate.between_nodes[at]), abs=1e-6)

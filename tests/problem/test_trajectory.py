@@ -1,4 +1,4 @@
-"""Trajectories: files, and what holds between the nodes."""
+"""Trajectories: files, and interpolation between the nodes."""
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +16,7 @@ ROUNDING = 1e-12
 
 
 def example(seed: int = 0) -> Trajectory:
-    """Dilation that falls and rises several-fold, so that scaled time is far from time."""
+    """A dilation that changes several-fold, so that scaled time differs much from time."""
     random = np.random.default_rng(seed)
     dilation = jnp.asarray(random.uniform(0.5, 8.0, NODES))
     return Trajectory(
@@ -33,7 +33,7 @@ state_at = jax.jit(lambda trajectory, time: trajectory.state_at(time))
 
 
 def time_at(trajectory: Trajectory, tau: float) -> float:
-    """t(tau): the integral of the piecewise linear dilation, by its definition."""
+    """t(tau): the integral of the piecewise linear dilation."""
     nodes = np.linspace(0.0, 1.0, NODES)
     points = np.unique([*nodes[nodes < tau], tau])
     return float(np.trapezoid(np.interp(points, nodes, np.asarray(trajectory.dilation)), points))
@@ -102,7 +102,7 @@ def test_what_is_saved_is_loaded(tmp_path):
 
 
 def test_saved_file_has_the_documented_fields(tmp_path):
-    example().save(tmp_path / "plan")  # the name is kept as it is, without a suffix of NumPy's
+    example().save(tmp_path / "plan")  # the file name stays unchanged: no suffix from NumPy
     with np.load(tmp_path / "plan") as archive:
         shapes = {name: archive[name].shape for name in archive}
     assert shapes == {

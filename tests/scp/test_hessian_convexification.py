@@ -1,10 +1,10 @@
-"""Convex curvature: convex always, and the same quadratic wherever the linearised dynamics hold."""
+"""Convexified Hessian: always convex, and the same quadratic where the linearised dynamics hold."""
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxscp.scp.hessian_convexification import LinearDynamics, condensed, projected
+from jaxscp.scp.hessian_convexification import LinearDynamics, convexified_along_horizon, projected
 
 INTERVALS, STATES, CONTROLS = 7, 3, 2
 STAGE, INPUTS = STATES + CONTROLS, STATES + 2 * CONTROLS
@@ -18,7 +18,7 @@ def random_chain(seed):
 
 
 def feasible(chain, seed):
-    """Intervals' variables that obey the chain from a first state of zero, and the last stage."""
+    """Variables of the intervals that obey the linear dynamics from a zero state, and the last stage."""
     random = np.random.default_rng(seed)
     controls = random.standard_normal((INTERVALS + 1, CONTROLS))
     state, stages = np.zeros(STATES), []
@@ -46,7 +46,7 @@ def eigenvalues(hessian):
 @pytest.mark.parametrize("seed", range(5))
 def test_blocks_are_convex_however_curved_the_problem(seed):
     hessian, chain = random_hessian(seed), random_chain(seed)
-    for convex in (projected(hessian), condensed(hessian, chain, jnp.zeros((STAGE, STAGE)))):
+    for convex in (projected(hessian), convexified_along_horizon(hessian, chain, jnp.zeros((STAGE, STAGE)))):
         assert eigenvalues(convex.hessian).min() > -ROUNDING
         assert bool(convex.clipped.any())
 
@@ -60,11 +60,11 @@ def test_projection_keeps_what_is_convex():
 
 @pytest.mark.parametrize("seed", range(5))
 def test_condensing_changes_nothing_where_the_dynamics_hold(seed):
-    """Blocks that are not convex by themselves, in a problem that is: states curve down, controls up."""
+    """Blocks that are not convex, in a convex problem: negative curvature in states, positive in controls."""
     down = jnp.diag(jnp.concatenate([-0.05 * jnp.ones(STATES), jnp.ones(CONTROLS), 2.0 * jnp.ones(CONTROLS)]))
     hessian = jnp.broadcast_to(down, (INTERVALS, INPUTS, INPUTS)) + 0.05 * random_hessian(seed)
     chain, final = random_chain(seed), jnp.eye(STAGE)
-    convex = condensed(hessian, chain, final)
+    convex = convexified_along_horizon(hessian, chain, final)
     assert eigenvalues(hessian).min() < 0.0
     assert eigenvalues(convex.hessian).min() > -ROUNDING
     assert not bool(convex.clipped.any())

@@ -1,4 +1,4 @@
-"""A short landing problem and random nodes, to test derivatives and identities on."""
+"""Short problems and random nodes, for tests of derivatives and identities."""
 
 import dataclasses
 
@@ -14,7 +14,7 @@ NODES = 8
 
 
 def short_problem(everything=False):
-    """Case 1 with 8 nodes; ``everything`` adds limits, zones and a moving deck."""
+    """Case 1 on 8 nodes; with ``everything``, also limits, zones and a moving deck."""
     scenario = scenarios.platform_to_platform()
     if everything:
         scenario = dataclasses.replace(
@@ -30,7 +30,7 @@ def short_problem(everything=False):
 
 
 def random_nodes(problem, seed):
-    """Random nodes: velocities of 3 m/s, body rates of 2 rad/s, thrusts over their whole range."""
+    """Random node variables: velocities of m/s, rates of rad/s, and thrusts over the whole range."""
     random = np.random.default_rng(seed)
     states = random.standard_normal((NODES, 13)) * ([1.0] * 3 + [3.0] * 3 + [0.2] * 4 + [2.0] * 3)
     states[:, 6:10] += [1.0, 0.0, 0.0, 0.0]

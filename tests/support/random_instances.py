@@ -10,7 +10,7 @@ import jaxscp
 from jaxscp.aot.aot import without_obstacles
 from jaxscp.dynamics.rotations import from_yaw
 
-PRICES = (0.0, 5.0)  # w_t, at which benchmarks plan them
+PRICES = (0.0, 5.0)  # time weights w_t of the benchmarks
 
 
 def random_instances(
@@ -18,8 +18,8 @@ def random_instances(
 ):
     """A batch of missions with random start, goal, headings, mass and thrust limit; all of them feasible.
 
-    Start and goal move by up to 0.4 m sideways and 0.3 m up from their platforms, and each turns to any
-    heading within 60 degrees; mass and thrust limit vary by 20 %.
+    Start and goal move by up to 0.4 m sideways and 0.3 m up from their platforms. Each heading varies by up to
+    60 degrees; mass and thrust limit vary by 20 %.
     """
     base = mission()
 
@@ -51,5 +51,8 @@ def random_instances(
 
 
 def bare(scenario: jaxscp.LandingScenario, price: float) -> jaxscp.LandingScenario:
-    """Without the point cloud, which the solver does not read: one shape, so one compilation. With a price of time."""
+    """The scenario with a time weight and without the point cloud, which the solver does not use.
+
+    Without point clouds all scenarios have one shape, and compile once.
+    """
     return eqx.tree_at(lambda s: s.weights.time, without_obstacles(scenario), jnp.asarray(price))

@@ -1,6 +1,6 @@
-"""Everything that a scenario may ask for beyond corridor, cone and thrust, all at once, on the flight as flown again.
+"""All requirements beyond corridor, cone and thrust in one scenario, checked on a rollout of the plan.
 
-Nothing here asks the constraints themselves: limits are evaluated anew, from their definitions.
+The tests evaluate the limits from their definitions, not by the constraint functions.
 """
 
 import dataclasses
@@ -13,19 +13,19 @@ import pytest
 import jaxscp
 from jaxscp import Planner, scenarios, status_names
 from jaxscp.dynamics.rotations import rotation_matrix
-from jaxscp.verification.rollout import fly
+from jaxscp.verification.rollout import rollout
 
 SPEED, TILT, BODY_RATE, THRUST_RATE = 3.5, 0.7, 3.0, 40.0
 BALL, BALL_RADIUS = np.array([3.0, 2.0, 4.4]), 0.4
 GATE, GATE_RADIUS = np.array([2.2, 0.8, 2.2]), 0.15
 DECK_VELOCITY = np.array([0.3, -0.1, 0.1])
-RELATIVE = 1.001  # limits are kept to a thousandth
+RELATIVE = 1.001  # limits hold to a thousandth
 MILLIMETRE = 1e-3
 
 
 @pytest.fixture(scope="module")
 def planned():
-    """Plan, and what an adaptive integrator makes of its controls."""
+    """A plan, and the rollout of its controls by an adaptive integrator."""
     scenario = dataclasses.replace(
         scenarios.ascent_to_platform(),
         obstacles=None,
@@ -38,7 +38,7 @@ def planned():
     planner = Planner(nodes=20)
     solution = planner(scenario)
     problem, _, _ = planner.setup(scenario)
-    flight = jax.jit(lambda t: fly(problem, t, 100))(solution.trajectory)
+    flight = jax.jit(lambda t: rollout(problem, t, 100))(solution.trajectory)
     return scenario, solution, flight
 
 
@@ -52,7 +52,7 @@ def test_every_limit_holds_on_the_whole_flight(planned):
     upward = np.asarray(jax.vmap(rotation_matrix)(flight.state.reshape(-1, 13)[:, 6:10]))[:, 2, 2]
     assert np.arccos(upward).max() < TILT * RELATIVE
     change = np.abs(np.diff(flight.control, axis=1)) / np.diff(flight.time, axis=1)[:, :, None]
-    assert change.max() < THRUST_RATE * 1.01  # a difference quotient over a hundredth of an interval
+    assert change.max() < THRUST_RATE * 1.01  # difference quotient over a hundredth of an interval
     assert np.linalg.norm(state[:, :3] - BALL, axis=1).min() > BALL_RADIUS - MILLIMETRE
 
 
@@ -75,7 +75,7 @@ def test_it_lands_on_the_moving_deck_with_any_heading(planned):
 
 @pytest.mark.slow
 def test_each_limit_is_felt(planned):
-    """At least one point of the flight is at each limit: otherwise the other tests would say little."""
+    """Each limit is active at one point at least; otherwise the other tests would be weak."""
     _, _, flight = planned
     state = np.asarray(flight.state).reshape(-1, 13)
     assert np.linalg.norm(state[:, 3:6], axis=1).max() > 0.97 * SPEED

@@ -1,4 +1,4 @@
-"""The machinery is general: a double integrator whose minimum time is known in closed form."""
+"""A general problem: a double integrator whose minimum time is known in closed form."""
 
 import jax
 import jax.numpy as jnp
@@ -21,8 +21,8 @@ from jaxscp.problem.problem import (
 NODES = 21  # even number of intervals, so that the switch of a bang-bang control can fall on a node
 LIMIT = 2.0  # m/s^2
 
-# First-order hold cannot jump from +a to -a: with the mesh free, it does so over the shortest interval that the
-# dilation's lower bound allows. That costs less than this share of the minimum time.
+# First-order hold cannot jump from +a to -a. With a free mesh, the change takes the shortest interval that the
+# dilation's lower bound allows. This costs less than this fraction of the minimum time.
 SWITCH = 1e-4
 
 

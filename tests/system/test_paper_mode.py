@@ -1,4 +1,4 @@
-"""Paper mode against the published stack written anew (CVXPY, CLARABEL, Numba), subproblem by subproblem."""
+"""Paper mode compared with the published stack (CVXPY, CLARABEL, Numba), subproblem by subproblem."""
 
 from dataclasses import replace
 from functools import cache
@@ -15,8 +15,8 @@ from benchmarks.rivals.convert import as_arrays, as_method, as_problem  # noqa: 
 from benchmarks.rivals.problem import three_box  # noqa: E402
 from jaxscp import PTR, NormTrustRegion, Planner, Status, scenarios, status_names  # noqa: E402
 
-# Both stacks solve their subproblems to about 1e-8; what differs after several of them is how far apart two
-# near-optimal points of a flat optimum lie, measured at 1e-7 of the cost.
+# Both stacks solve their subproblems to about 1e-8. Near a flat optimum such solutions may lie far apart; after
+# several subproblems, costs differ by a measured 1e-7.
 SAME_COST = 1e-4
 SAME_TIME = 1e-4
 
@@ -26,18 +26,18 @@ CASES = {
     "three boxes": three_box,
 }
 
-COARSE = 1e-3  # relative: costs of stops, none optimal, of coarse and of exact subproblems
-GRIDS = 0.05  # relative: the stops of the paper's method on 30 and on 90 nodes, none of them optimal
+COARSE = 1e-3  # relative: costs at the stops with coarse and with exact subproblems, neither optimal
+GRIDS = 0.05  # relative: costs at the stops on 30 and on 90 nodes, neither optimal
 
 
 def settled(arrays):
-    """The case with the same settings for all, so that one compilation serves them."""
+    """The case with common settings, so that all cases share one compilation."""
     return replace(arrays, tolerance_virtual=1e-3, tolerance_trust=1e-2, max_iterations=20)
 
 
 @pytest.fixture(scope="module")
 def both():
-    """A function from a case's name to our run and the published stack's, of subproblems that both solve as well."""
+    """A function: name of a case to the runs of jaxscp and of the published stack, same accuracy."""
     ours = jax.jit(replace(as_method(settled(three_box())), coarsest=0.0).run)
 
     @cache
@@ -75,7 +75,7 @@ def test_three_boxes_stop_where_the_published_stack_is_known_to(both):
 
 @pytest.mark.parametrize("case", CASES)
 def test_arrays_survive_the_way_there(both, case):
-    """The converted problem starts where the rival does: same guess, and same effort and time along it."""
+    """The converted problem has the rival's guess, and the same effort and time along this guess."""
     arrays = CASES[case]()
     _, z = as_problem(arrays)
     _, theirs = both(case)
@@ -95,7 +95,7 @@ def test_coarse_subproblems_lead_to_the_same_stop(mission):
 
 
 def test_no_iterations_end_by_a_coarse_subproblem():
-    """Where the reference meets the accuracy asked for, nothing moves: that is no reason to stop."""
+    """At a tolerance that the reference meets, the step is zero; this must not count as convergence."""
     problem, z = as_problem(settled(three_box()))
     method = replace(as_method(settled(three_box())), coarsest=1e9)
     assert method.accuracy(method.init(problem, z)) == 1e9
@@ -107,7 +107,7 @@ def test_no_iterations_end_by_a_coarse_subproblem():
 
 @pytest.mark.slow
 def test_virtual_control_that_stays_ends_the_iterations():
-    """On a fine grid, a trust region that is dear enough holds iterates where the dynamics are unmet."""
+    """On a fine grid, a large trust-region weight stops the iterates before the dynamics hold."""
     found = Planner(nodes=60, method=PTR(NormTrustRegion(20.0)))(scenarios.platform_to_platform())
     assert status_names(found.status) == "dynamics_unmet"
     count = int(found.iterations)
@@ -121,7 +121,7 @@ def test_virtual_control_that_stays_ends_the_iterations():
 @pytest.mark.slow
 @pytest.mark.parametrize("mission", [scenarios.platform_to_platform, scenarios.ascent_to_platform])
 def test_a_finer_grid_is_planned_as_well(mission):
-    """The trust region prices the move of a flight as a whole, whatever its nodes."""
+    """The trust region penalises the step of the whole trajectory, whatever the number of nodes."""
     coarse, fine = (Planner(nodes=nodes, method=PTR())(mission()) for nodes in (30, 90))
     assert status_names(fine.status) == "converged"
     assert int(fine.iterations) <= int(coarse.iterations) + 2

@@ -1,4 +1,4 @@
-"""A hundred random missions: every plan, flown again by an independent integrator, ends at its goal."""
+"""A hundred random missions: an independent rollout of every plan ends at its goal."""
 
 import jax
 import jax.numpy as jnp
@@ -10,9 +10,9 @@ import jaxscp
 from jaxscp import Status, status_names
 from tests.support.random_instances import random_instances
 
-DISTANCE = 1e-3  # m, what a landing may miss
+DISTANCE = 1e-3  # m, largest error of a landing
 ANGLE = np.radians(0.1)
-COARSE = 2e-3  # relative: costs of stops, none optimal, of coarse and of exact subproblems
+COARSE = 2e-3  # relative: costs at the stops with coarse and with exact subproblems, neither optimal
 MISSIONS = {
     "platform": jaxscp.scenarios.platform_to_platform,
     "ascend": jaxscp.scenarios.ascent_to_platform,
@@ -48,7 +48,7 @@ def test_coarse_subproblems_end_where_exact_ones_do():
 @pytest.mark.parametrize("name", MISSIONS)
 @pytest.mark.parametrize("method", [jaxscp.PTR(), jaxscp.NewtonSCP()], ids=["paper", "newton"])
 def test_scipy_lands_where_the_plan_says(name, method):
-    """The certificate's own integrator is not trusted here: SciPy's DOP853 flies the controls."""
+    """SciPy's DOP853 integrates the controls, independent of the certificate's integrator."""
     scenario = MISSIONS[name]()
     solution = jaxscp.Planner(method=method)(scenario)
     assert bool(solution.status == Status.converged)

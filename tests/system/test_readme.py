@@ -1,4 +1,4 @@
-"""What the README tells its readers to type."""
+"""The README's commands, tables and example."""
 
 import re
 import shlex
@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from jaxscp import cli
+from jaxscp.cli import app as cli
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()

@@ -14,8 +14,8 @@ from jaxscp.problem.problem import Boundary, FixedComponents, OptimalControlProb
 from jaxscp.transcription.discretise import discretise
 from jaxscp.transcription.layout import interval_inputs
 
-EXACT = 1e-12  # RK4 integrates these polynomials exactly; what is left is rounding
-INDEPENDENT = 1e-8  # twenty RK4 steps over a tenth of a second, against an integration to 1e-12
+EXACT = 1e-12  # RK4 integrates these polynomials exactly, except for rounding
+INDEPENDENT = 1e-8  # twenty RK4 steps over a tenth of a second, compared with an integration to 1e-12
 
 
 class SingleIntegrator(Dynamics):
@@ -64,7 +64,7 @@ def random_node_variables(problem, key, dilation=None):
 
 
 def test_single_integrator_with_varying_dilation():
-    """x+ = x + h (s0 u0 / 3 + s0 u1 / 6 + s1 u0 / 6 + s1 u1 / 3), h the interval in scaled time."""
+    """x+ = x + h ((2 s0 + s1) u0 + (s0 + 2 s1) u1) / 6, h: length of the interval in scaled time."""
     problem = problem_of(SingleIntegrator(), 4)
     z = random_node_variables(problem, jax.random.key(0), jnp.array([1.0, 2.0, 0.5, 3.0]))
     flow = discretise(problem, z, 10)
@@ -85,7 +85,7 @@ def test_single_integrator_with_varying_dilation():
 
 
 def test_double_integrator_at_constant_dilation():
-    """A = [1 h; 0 1], B- = [h^2 / 3, h / 2], B+ = [h^2 / 6, h / 2], h the interval in seconds."""
+    """A = [1 h; 0 1], B- = [h^2 / 3, h / 2], B+ = [h^2 / 6, h / 2], h: length of the interval, s."""
     problem = problem_of(DoubleIntegrator(1), 5)
     z = random_node_variables(problem, jax.random.key(1))
     flow = discretise(problem, z, 10)
@@ -110,7 +110,7 @@ def test_running_cost_is_integrated():
 
 @pytest.fixture(scope="module")
 def quadrotor():
-    """A problem, and node variables of a flight that turns, tilts and changes its dilation."""
+    """A problem, and node variables of a trajectory with turns, tilt and varying dilation."""
     problem = problem_of(airframes.paper_mav().body, 3)
     z = 0.3 * jax.random.normal(jax.random.key(3), (3, problem.variables))
     q = z[:, 6:10].at[:, 0].add(1.0)
@@ -158,7 +158,7 @@ def test_quadrotor_against_an_independent_integration(quadrotor):
 
 def test_error_falls_with_the_fourth_power_of_the_substeps(quadrotor):
     problem, z = quadrotor
-    z = z.at[:, -1].multiply(8.0)  # long intervals, so that the error stands clear of rounding
+    z = z.at[:, -1].multiply(8.0)  # long intervals, so that the error is far above rounding
     ends = [discretise(problem, z, steps).state for steps in (4, 8, 16, 256)]
     errors = [float(jnp.max(jnp.abs(end - ends[-1]))) for end in ends[:-1]]
     orders = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))

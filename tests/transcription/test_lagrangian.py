@@ -1,4 +1,4 @@
-"""The augmented Lagrangian, on which steps are judged, and its projections."""
+"""The augmented Lagrangian, the merit function of steps, and its projections."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxscp.cones.cone import NonNegative, SecondOrder
-from jaxscp.transcription.lagrangian import Residual, merit, no_multipliers, projection, residual
+from jaxscp.transcription.lagrangian import Merit, Residual, no_multipliers, residual
 from jaxscp.transcription.shooting import Grid, evaluate
 from tests.support.flights import random_nodes, short_problem
 
@@ -17,12 +17,12 @@ vectors = st.lists(st.floats(-10.0, 10.0), min_size=3, max_size=3).map(jnp.array
 @settings(max_examples=50, deadline=None)
 @given(vectors)
 def test_a_vector_splits_into_its_part_in_the_cone_and_one_in_its_polar(v):
-    """Moreau: v = P(v) - P(-v), the two at right angles, for a cone that is its own dual."""
+    """Moreau: v = P(v) - P(-v) with orthogonal P(v) and P(-v), for a self-dual cone."""
     for cone in (NonNegative(), SecondOrder()):
-        inside, outside = projection(cone, v), projection(cone, -v)
+        inside, outside = cone.project_dual(v), cone.project_dual(-v)
         np.testing.assert_allclose(inside - outside, v, atol=ROUNDING)
         np.testing.assert_allclose(jnp.vdot(inside, outside), 0.0, atol=1e-8)
-        np.testing.assert_allclose(projection(cone, inside), inside, atol=ROUNDING)
+        np.testing.assert_allclose(cone.project_dual(inside), inside, atol=ROUNDING)
 
 
 def test_merit_of_a_feasible_point_is_its_cost():
@@ -34,18 +34,18 @@ def test_merit_of_a_feasible_point_is_its_cost():
         for v in out.values
     )
     point = Residual(jnp.asarray(7.0), jnp.zeros_like(out.end), inside)
-    np.testing.assert_allclose(
-        merit(problem, point, no_multipliers(problem, z, Grid()), 10.0, jnp.ones(13)), 7.0
-    )
+    merit = Merit(problem, no_multipliers(problem, z, Grid()), 10.0, jnp.ones(13))
+    np.testing.assert_allclose(merit(point), 7.0)
 
 
-def test_merit_grows_with_every_lack():
+def test_merit_grows_with_every_residual():
     problem = short_problem()
     z = random_nodes(problem, 0)
     out = evaluate(problem, z, Grid())
     point, y = residual(out, jnp.zeros(()), z), no_multipliers(problem, z, Grid())
-    base = merit(problem, point, y, 10.0, jnp.ones(13))
+    merit = Merit(problem, y, 10.0, jnp.ones(13))
+    base = merit(point)
     worse = Residual(point.cost, 2.0 * point.defect, point.values)
     outside = Residual(point.cost, point.defect, tuple(v - 5.0 for v in point.values))
-    assert float(merit(problem, worse, y, 10.0, jnp.ones(13))) > float(base)
-    assert float(merit(problem, outside, y, 10.0, jnp.ones(13))) > float(base)
+    assert float(merit(worse)) > float(base)
+    assert float(merit(outside)) > float(base)

@@ -1,4 +1,4 @@
-"""Intervals as functions of their variables: the same flow as the discretisation's, exact Jacobians, safe margins."""
+"""Flow over intervals: equal to the discretisation's flow, exact Jacobians, safe margins."""
 
 import equinox as eqx
 import jax
@@ -10,14 +10,14 @@ from jaxscp.dynamics.rotations import from_yaw
 from jaxscp.landing.problem import Pose, same_pose
 from jaxscp.transcription.discretise import propagate
 from jaxscp.transcription.layout import interval_inputs
-from jaxscp.transcription.shooting import Grid, active_points, evaluate, linearise
+from jaxscp.transcription.shooting import Grid, evaluate, linearise
 from tests.support.flights import random_nodes, short_problem
 
 ROUNDING = 1e-12
-RK6_ERROR = 1e-5  # m and rad/s, of five steps where a vehicle turns by about a radian an interval
-SIXTH_ORDER = (35.0, 130.0)  # half the step errs 64 times less, or a little more before the limit
+RK6_ERROR = 1e-5  # m and rad/s, error of five steps if a vehicle turns by about a radian an interval
+SIXTH_ORDER = (35.0, 130.0)  # range of the error ratio for half the step: 64 in the limit
 SLOPE = 1e-6  # relative; central differences of 1e-6 in values near one
-DIP = 5e-4  # m; what the margin, itself of second order, may miss where curvature changes within an interval
+DIP = 5e-4  # m; error of the second-order margin if curvature changes within an interval
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +26,7 @@ def problem():
 
 
 def test_the_flow_is_the_discretisations(problem):
-    """By another method, with so many steps that only this one's error is left."""
+    """Compared with another method with so many steps that its error is negligible."""
     z = random_nodes(problem, 0)
     end, cost = propagate(problem, z, 200)
     out = evaluate(problem, z, Grid())
@@ -48,8 +48,8 @@ def test_jacobians_are_differences(problem):
     direction = jnp.asarray(np.random.default_rng(2).standard_normal(z.shape))
     h = 1e-6
     w = interval_inputs(problem, direction)
-    ahead, behind = values(z + h * direction), values(z - h * direction)
-    for jacobian, a, b in zip(*map(jax.tree.leaves, (linear.jacobian, ahead, behind)), strict=True):
+    plus, minus = values(z + h * direction), values(z - h * direction)
+    for jacobian, a, b in zip(*map(jax.tree.leaves, (linear.jacobian, plus, minus)), strict=True):
         slope = jnp.einsum("i...w,iw->i...", jacobian, w)
         np.testing.assert_allclose(slope, (a - b) / (2.0 * h), rtol=SLOPE, atol=1e-5)
 
@@ -59,12 +59,12 @@ def test_nothing_dips_below_the_margin_between_points(problem, seed):
     """Values on a grid twenty times as fine are never below the line through the constrained ones."""
     z = random_nodes(problem, seed)
     coarse = evaluate(problem, z, Grid()).values[0]
-    bare = eqx.filter_jit(evaluate)(problem, z, Grid(points=100)).values[
+    bare = eqx.filter_jit(evaluate)(problem, z, Grid(subintervals=100)).values[
         0
-    ]  # its margin is 400 times as small
+    ]  # its margin is 400 times smaller
     lowest = bare.reshape(*bare.shape[:2], -1).min(axis=1)
     assert float(jnp.max(coarse.min(axis=1) - lowest)) < DIP
-    assert float(jnp.max(lowest - coarse.min(axis=1))) > 1e-3  # the margin is there at all
+    assert float(jnp.max(lowest - coarse.min(axis=1))) > 1e-3  # the margin is not zero
 
 
 def test_limits_of_controls_hold_at_nodes_alone(problem):
@@ -74,15 +74,15 @@ def test_limits_of_controls_hold_at_nodes_alone(problem):
 
 def test_the_cone_is_left_out_at_its_apex(problem):
     cone = problem.constraints[2]
-    active = active_points(cone, 6)
+    active = cone.active_in_intervals(6)
     assert bool(active[-1, -2])
     assert not bool(active[-1, -1])
     assert not bool(active[0].any())
 
 
 def test_a_grid_too_coarse_for_a_margin_is_refused():
-    with pytest.raises(ValueError, match="points"):
-        Grid(points=2)
+    with pytest.raises(ValueError, match="subintervals"):
+        Grid(subintervals=2)
 
 
 def test_either_sign_of_a_quaternion_is_the_goal():

@@ -1,4 +1,4 @@
-"""Intervals to second order: what one sweep through the stages says, against automatic differentiation of the whole."""
+"""Second derivatives of intervals by one integration, compared with automatic differentiation of the whole."""
 
 import jax
 import jax.numpy as jnp
@@ -7,13 +7,13 @@ import pytest
 
 from jaxscp.transcription.lagrangian import no_multipliers
 from jaxscp.transcription.layout import interval_inputs
-from jaxscp.transcription.shooting import Grid, active_points, evaluate, linearise, linearise_with_hessian
+from jaxscp.transcription.shooting import Grid, evaluate, linearise, linearise_with_hessian
 from tests.support.flights import random_nodes, short_problem
 
 ROUNDING = 1e-10
 
 
-@pytest.mark.parametrize("grid", [Grid(), Grid(points=3, steps=2)])
+@pytest.mark.parametrize("grid", [Grid(), Grid(subintervals=3, steps=2)])
 def test_it_is_what_automatic_differentiation_says(grid):
     problem, random = short_problem(), np.random.default_rng(0)
     z = random_nodes(problem, 1)
@@ -23,13 +23,13 @@ def test_it_is_what_automatic_differentiation_says(grid):
     def lagrangian(z):
         out = evaluate(problem, z, grid)
         total = jnp.sum(out.cost) + jnp.vdot(y.flow, out.end)
-        for c, price, v in zip(problem.constraints, y.by_interval(), out.values, strict=True):
-            total -= jnp.sum(jnp.where(active_points(c, v.shape[1])[:, :, None], price * v, 0.0))
+        for c, multiplier, v in zip(problem.constraints, y.by_interval(), out.values, strict=True):
+            total -= jnp.sum(jnp.where(c.active_in_intervals(v.shape[1])[:, :, None], multiplier * v, 0.0))
         return total
 
     @jax.jit
     def along(d):
-        """Second derivatives times a direction."""
+        """Product of the second derivatives with a direction."""
         return jax.jvp(jax.grad(lagrangian), (z,), (d,))[1]
 
     linear, curvature = jax.jit(lambda z: linearise_with_hessian(problem, z, y, grid))(z)

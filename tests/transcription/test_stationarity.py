@@ -1,4 +1,4 @@
-"""The residual of the optimality conditions: its gradient, and the judge's own."""
+"""The residual of the optimality conditions: the gradient, and the verifier's gradient."""
 
 import equinox as eqx
 import jax
@@ -9,12 +9,12 @@ import pytest
 from jaxscp.transcription.lagrangian import lagrangian, no_multipliers
 from jaxscp.transcription.shooting import Grid, evaluate, linearise
 from jaxscp.transcription.stationarity import lagrangian_gradient, stationarity
-from jaxscp.verification.gradient import reflown_gradient
+from jaxscp.verification.gradient import verified_gradient
 from tests.support.flights import random_nodes, short_problem
 
 ROUNDING = 1e-9  # relative to the largest entry
 FINE = Grid(steps=4)  # sixth order: 4096 times as accurate as one step
-RK6_ERROR = 1e-7  # of that many, relative to the largest entry
+RK6_ERROR = 1e-7  # error of that many steps, relative to the largest entry
 
 
 def close(found, expected, tolerance):
@@ -41,13 +41,13 @@ def test_gradient_is_that_of_the_lagrangian(point):
 
 def test_the_judges_gradient_is_the_limit_of_the_solvers(point):
     problem, z, _, y = point
-    found = jax.jit(lambda z: reflown_gradient(problem, z, y, Grid()))(z)
+    found = jax.jit(lambda z: verified_gradient(problem, z, y, Grid()))(z)
     fine = jax.jit(lambda z: linearise(problem, z, FINE))(z)
     close(found, lagrangian_gradient(problem, z, fine, y), RK6_ERROR)
 
 
 def test_residual_is_relative_to_the_cost(point):
-    """A random point is not stationary, and is as far from it when cost and multipliers are scaled together."""
+    """A random point is not stationary; the residual is unchanged if cost and multipliers scale together."""
     problem, z, linear, y = point
     cost = jnp.asarray(40.0)
     first_order_only = stationarity(lagrangian_gradient(problem, z, linear, y), z, cost)

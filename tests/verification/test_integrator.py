@@ -1,4 +1,4 @@
-"""Flights by the kernel for GPUs, run on a CPU by one lane, against those by diffrax."""
+"""Rollouts by the GPU kernel, run on a CPU by one thread, compared with rollouts by diffrax."""
 
 import dataclasses
 import functools
@@ -11,17 +11,17 @@ import pytest
 import jaxscp
 from jaxscp.backends.codegen import launch
 from jaxscp.dynamics.base import Dynamics
-from jaxscp.verification import integrator
 from jaxscp.verification.integrator import cuda_source, in_cuda, in_jax
+from jaxscp.verification.integrator.integrate import integrate
 from tests.support.kernels import as_on_a_gpu, compiled, handler, needs_compiler, needs_nvidia
 
 NODES, SAMPLES = 4, 7
-AGREEMENT = 1e-8  # of two flights whose steps have errors of 1e-10 each
+AGREEMENT = 1e-8  # of two rollouts whose steps have errors of 1e-10 each
 BODY = jaxscp.airframes.paper_mav().body
 
 
 class Extreme(Dynamics):
-    """A state that a control lets fade, and one that grows beyond all bounds in time 1 / (power y)."""
+    """A state x that decays with the control, and a state y that diverges in time 1 / (power y)."""
 
     power: jax.Array
     state_size = 2
@@ -33,9 +33,9 @@ class Extreme(Dynamics):
 
 
 class Many(Dynamics):
-    """A ring of states, each of which follows the next."""
+    """A ring of states, each driven by the next."""
 
-    state_size = cuda_source.LANES + 3
+    state_size = cuda_source.WARP + 3
     control_size = 1
 
     def __call__(self, state, control):
@@ -43,7 +43,7 @@ class Many(Dynamics):
 
 
 def flights(count):
-    """Starts, controls and dilations of distinct flights of a rigid body."""
+    """Initial states, controls and dilations of distinct rigid-body trajectories."""
     keys = jax.random.split(jax.random.key(0), 3)
     start = jnp.zeros((count, 13)).at[:, 6].set(1.0) + 0.1 * jax.random.normal(keys[0], (count, 13))
     control = BODY.hover_thrust() * (1.0 + 0.1 * jax.random.normal(keys[1], (count, NODES, 4)))
@@ -51,33 +51,36 @@ def flights(count):
     return start, control, dilation
 
 
-def flown_by(together, tmp_path):
-    """States by the kernel of some dynamics, of which so many lanes fly together."""
-    words = {1: "threads_on_a_cpu.h", cuda_source.LANES: "warps_on_a_cpu.h"}
+def integrated_by(group_size, tmp_path):
+    """A function: states by the kernel; ``group_size`` threads integrate one trajectory."""
+    words = {1: "threads_on_a_cpu.h", cuda_source.WARP: "warps_on_a_cpu.h"}
 
     def states(dynamics, start, control, dilation, samples=SAMPLES):
         slope = in_cuda.record(dynamics)
-        code = compiled(cuda_source.kernel(slope, dilation.shape[0] - 1, samples), tmp_path, words[together])
-        return in_cuda.states(dynamics, slope, code, together, samples, start, control, dilation)
+        code = compiled(
+            cuda_source.kernel(slope, dilation.shape[0] - 1, samples), tmp_path, words[group_size]
+        )
+        kernel = in_cuda.Kernel(dynamics, slope, code, group_size, samples)
+        return kernel(start, control, dilation)
 
     return states
 
 
 @pytest.fixture
 def emulated(tmp_path, monkeypatch):
-    """The kernel by a lane alone."""
+    """The kernel with one thread a trajectory."""
     monkeypatch.setattr(launch, "TARGET", handler())
-    return flown_by(1, tmp_path)
+    return integrated_by(1, tmp_path)
 
 
 @needs_compiler
-def test_lanes_fly_together(tmp_path, monkeypatch):
-    """More states and samples than lanes, and more flights than a block has."""
+def test_a_warp_integrates_one_trajectory(tmp_path, monkeypatch):
+    """More states and samples than threads a trajectory, and more trajectories than a block has."""
     monkeypatch.setattr(launch, "TARGET", handler())
     count, size, samples = (
-        1 + cuda_source.THREADS // cuda_source.LANES,
+        1 + cuda_source.BLOCK_THREADS // cuda_source.WARP,
         Many.state_size,
-        2 * cuda_source.LANES + 5,
+        2 * cuda_source.WARP + 5,
     )
     start = jax.random.normal(jax.random.key(1), (count, size))
     given = start, jnp.ones((count, 3, 1)), jnp.full((count, 3), 1.5)
@@ -85,13 +88,13 @@ def test_lanes_fly_together(tmp_path, monkeypatch):
     def by(states):
         return jax.jit(jax.vmap(lambda *one: states(Many(), *one, samples)))(*given)
 
-    found = by(flown_by(cuda_source.LANES, tmp_path))
+    found = by(integrated_by(cuda_source.WARP, tmp_path))
     np.testing.assert_allclose(found, by(in_jax.states), rtol=0, atol=AGREEMENT)
 
 
 @needs_compiler
-def test_it_is_the_flight_by_diffrax(emulated):
-    """Of a batch, whose masses differ."""
+def test_it_is_the_rollout_by_diffrax(emulated):
+    """A batch with different masses."""
     bodies = lambda mass: dataclasses.replace(BODY, mass=mass)  # noqa: E731
     given = jnp.array([0.9, 1.0, 1.3]) * BODY.mass, *flights(3)
 
@@ -108,16 +111,16 @@ def test_closed_form(emulated):
     """x' = -u^2 x with u linear in time."""
     start, control = jnp.array([1.0, 0.0]), jnp.array([[0.5], [2.0], [1.0], [0.0]])
     found = emulated(Extreme(jnp.zeros(())), start, control, jnp.full(NODES, 3.0))
-    share = np.linspace(0.0, 1.0, SAMPLES)
+    fraction = np.linspace(0.0, 1.0, SAMPLES)
     logarithm, last = np.zeros((NODES - 1, SAMPLES)), 0.0
     for k, (a, b) in enumerate(zip(control[:-1, 0], control[1:, 0], strict=True)):
-        logarithm[k] = last + a**2 * share + a * (b - a) * share**2 + (b - a) ** 2 * share**3 / 3.0
+        logarithm[k] = last + a**2 * fraction + a * (b - a) * fraction**2 + (b - a) ** 2 * fraction**3 / 3.0
         last = logarithm[k, -1]
     np.testing.assert_allclose(found[:, :, 0], np.exp(-logarithm), rtol=0, atol=AGREEMENT)
 
 
 class Sudden(Dynamics):
-    """It fades fast, and has no slope below -1, where a step too long leads."""
+    """A state that decays fast; the derivative is undefined below -1, where a step too long leads."""
 
     state_size = 1
     control_size = 1
@@ -135,7 +138,7 @@ def test_a_step_that_leads_nowhere_is_shortened(emulated):
 
 
 @needs_compiler
-def test_what_cannot_be_flown_is_infinite_and_other_lanes_are_not(emulated):
+def test_a_failed_integration_is_infinite_and_other_elements_are_not(emulated):
     powers = jnp.array([0.1, 2.0, jnp.nan])
     start, control, dilation = jnp.array([1.0, 1.0]), jnp.ones((NODES, 1)), jnp.full(NODES, 1.0)
     by = lambda states: jax.vmap(lambda p: states(Extreme(p), start, control, dilation, SAMPLES))(powers)  # noqa: E731
@@ -146,9 +149,11 @@ def test_what_cannot_be_flown_is_infinite_and_other_lanes_are_not(emulated):
 
 
 @needs_compiler
-def test_a_kernel_of_other_dynamics_flies_nothing(emulated, monkeypatch):
-    """From the first interval on at whose begin slopes differ, though later ones be the same: where there is no thrust,
-    the mass does not matter."""
+def test_a_kernel_of_other_dynamics_integrates_nothing(emulated, monkeypatch):
+    """The rollout ends at the first interval whose initial state derivative differs from the dynamics.
+
+    Later intervals are lost even where the derivatives agree: without thrust the mass has no effect.
+    """
     other = dataclasses.replace(BODY, mass=1.001 * BODY.mass)
     start, control, dilation = (v[0] for v in flights(1))
     control = control.at[np.array([0, 2])].set(0.0)
@@ -169,7 +174,7 @@ def test_an_interval_has_two_samples_at_least():
     start, control, dilation = (v[0] for v in flights(1))
     trajectory = jaxscp.Trajectory(dilation, jnp.tile(start, (NODES, 1)), control, dilation)
     with pytest.raises(ValueError, match="samples: 1 of an interval"):
-        integrator.states(BODY, trajectory, 1)
+        integrate(BODY, trajectory, 1)
 
 
 class Untraceable(Dynamics):
@@ -181,18 +186,18 @@ class Untraceable(Dynamics):
 
 
 def test_a_gpu_runs_the_kernel_where_there_is_one(monkeypatch):
-    """As on a machine with a GPU: each device flies its own way."""
+    """As on a machine with a GPU: each device has its own integrator."""
     start, control, dilation = (v[0] for v in flights(1))
-    assert in_cuda.flight(BODY, start, control, SAMPLES) is None
+    assert in_cuda.kernel_for(BODY, start, control, SAMPLES) is None
     as_on_a_gpu(monkeypatch)
 
     def calls(platform, dynamics, start, control):
         states = jnp.zeros((NODES, dynamics.state_size)).at[0].set(start)
         trajectory = jaxscp.Trajectory(dilation, states, control, dilation)
-        traced = jax.jit(functools.partial(integrator.states, dynamics, samples=SAMPLES)).trace(trajectory)
+        traced = jax.jit(functools.partial(integrate, dynamics, samples=SAMPLES)).trace(trajectory)
         return launch.TARGET in traced.lower(lowering_platforms=(platform,)).as_text()
 
     assert calls("cuda", BODY, start, control)
     assert not calls("cpu", BODY, start, control)
     assert not calls("cuda", Untraceable(), jnp.ones(2), jnp.ones((NODES, 1)))
-    assert in_cuda.flight(BODY, start.astype(jnp.float32), control, SAMPLES) is None
+    assert in_cuda.kernel_for(BODY, start.astype(jnp.float32), control, SAMPLES) is None

@@ -1,4 +1,4 @@
-"""The flight by diffrax's Dopri8, interval after interval."""
+"""Integration by diffrax's Dopri8, interval after interval."""
 
 import jax
 import jax.numpy as jnp
@@ -15,17 +15,17 @@ def states(
     dilation: Float[Array, "nodes"],
     samples: int,
 ) -> Float[Array, "intervals samples n"]:
-    """States at points of every interval; infinite where it cannot be integrated."""
-    # Here, since it is slow to import, and a planner that was compiled before needs it no more.
+    """States at points of every interval; infinite where the integration fails."""
+    # Imported here: diffrax is slow to import, and a planner from a cache does not need it.
     from diffrax import Dopri8, ODETerm, PIDController, SaveAt, diffeqsolve, is_successful
 
     intervals = dilation.shape[0] - 1
     width = 1.0 / intervals
-    shares = jnp.linspace(0.0, 1.0, samples)
+    fractions = jnp.linspace(0.0, 1.0, samples)
 
-    def rate(share, state, ends):
+    def rate(fraction, state, ends):
         (u0, u1), (s0, s1) = ends
-        return width * (s0 + share * (s1 - s0)) * dynamics(state, u0 + share * (u1 - u0))
+        return width * (s0 + fraction * (s1 - s0)) * dynamics(state, u0 + fraction * (u1 - u0))
 
     def interval(state, ends):
         solution = diffeqsolve(
@@ -36,14 +36,14 @@ def states(
             FIRST_STEP,
             state,
             args=ends,
-            # Not SaveAt(ts=...), which checks the times by a call back into Python: such a program cannot be stored.
+            # Not SaveAt(ts=...): its check of the times is a call back into Python, which no file can store.
             saveat=SaveAt(dense=True),
             stepsize_controller=PIDController(rtol=TOLERANCE, atol=TOLERANCE),
             max_steps=most_steps(intervals),
             throw=False,
         )
-        flown = jax.vmap(lambda share: jnp.asarray(solution.evaluate(share)))(shares)
-        states = jnp.where(is_successful(solution.result), flown, jnp.inf)
+        sampled = jax.vmap(lambda fraction: jnp.asarray(solution.evaluate(fraction)))(fractions)
+        states = jnp.where(is_successful(solution.result), sampled, jnp.inf)
         return states[-1], states
 
     _, found = jax.lax.scan(interval, start, ((control[:-1], control[1:]), (dilation[:-1], dilation[1:])))

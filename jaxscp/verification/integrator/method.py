@@ -1,4 +1,4 @@
-"""The judge's method of integration, which the solver does not use."""
+"""Integration method of the verifier; the solver uses another one."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from jaxscp.integration.tableaus import Method
 
 
 def eighth_order() -> Method:
-    """Dormand and Prince's, by diffrax's table."""
+    """Dormand and Prince's method of eighth order, from diffrax's tableau."""
     from diffrax import Dopri8  # slow to import
 
     tableau = Dopri8.tableau

@@ -1,4 +1,4 @@
-"""The command line, run for real on few nodes; one plan is compiled and shared."""
+"""The command line on few nodes; the tests share one compiled plan."""
 
 import json
 import math
@@ -11,13 +11,15 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from jaxscp import Status, Trajectory, cli
+from jaxscp import Status, Trajectory
+from jaxscp.cli import app as cli
+from jaxscp.cli import report
 
-# N, a hundred thousandth of the range: limits are held to the conic step's accuracy, which differs by processor.
+# N, 1e-5 of the range: limits hold to the conic solver's accuracy, which differs by processor.
 THRUST = 5e-5
 
 NODES = 20
-# The paper's mode, because it compiles in a fifth of the time; the slow tests run every mode.
+# The paper's mode compiles in a fifth of the time; the slow tests run every mode.
 MODE = "paper"
 ENDS = ["--start", "-3", "0", "1", "--goal", "3", "0", "1"]
 RUN = ["plan", "ascend", "--nodes", str(NODES), "--mode", MODE]
@@ -29,7 +31,7 @@ def invoke(*arguments):
 
 @pytest.fixture(scope="module")
 def answer(tmp_path_factory):
-    """One run that writes everything."""
+    """One run of the command with all outputs."""
     folder = tmp_path_factory.mktemp("plan")
     result = invoke(*RUN, "--json", "--save", folder / "plan.npz", "--plot", folder / "plan.png")
     return result, folder
@@ -71,7 +73,7 @@ def test_json_numbers_are_finite(facts):
         elif not isinstance(value, str):
             yield value
 
-    assert facts["optimality"] is None  # which the paper's mode does not claim
+    assert facts["optimality"] is None  # the paper's mode claims no optimum
     values = list(numbers({name: value for name, value in facts.items() if name != "optimality"}))
     assert len(values) > 10
     assert all(isinstance(v, int | float) and math.isfinite(v) for v in values)
@@ -80,7 +82,7 @@ def test_json_numbers_are_finite(facts):
 def test_history_ends_at_the_plan(facts):
     rows = facts["history"]
     assert [row["iteration"] for row in rows] == list(range(1, len(rows) + 1))
-    assert set(cli.COLUMNS) <= set(rows[-1])
+    assert set(report.COLUMNS) <= set(rows[-1])
     assert rows[-1]["final_time"] == pytest.approx(facts["final_time"], rel=1e-9)
 
 
@@ -105,12 +107,18 @@ def test_table_report_and_times_are_printed(answer, facts):
     for text in ("iteration", "cost", "t_f [s]", "|nu|", "|dz|", "defect", "conic steps"):
         assert text in result.stdout
     assert f"{facts['history'][0]['cost']:.4f}" in result.stdout
-    for text in ("status: converged", "re-flown end", "corridor", "ms a plan once compiled", "s to compile"):
+    for text in (
+        "status: converged",
+        "integrated end",
+        "corridor",
+        "ms a plan once compiled",
+        "s to compile",
+    ):
         assert text in result.stdout
 
 
 def test_plan_that_did_not_converge_is_printed_and_exits_one(answer, monkeypatch):
-    solution, timing = cli.timed(cli.MODES[MODE](NODES), cli.CASES["ascend"]())
+    solution, timing = report.timed(cli.MODES[MODE](NODES), cli.CASES["ascend"]())
     unfinished = eqx.tree_at(lambda s: s.status, solution, Status.iteration_limit)
     monkeypatch.setattr(cli, "timed", lambda planner, scenario: (unfinished, timing))
     table, objects = invoke(*RUN), invoke(*RUN, "--json")
@@ -121,12 +129,12 @@ def test_plan_that_did_not_converge_is_printed_and_exits_one(answer, monkeypatch
 
 
 def test_numbers_that_json_cannot_hold_become_null():
-    assert [cli.plain(v) for v in (np.float64(np.nan), jax.numpy.inf, np.int64(3))] == [None, None, 3]
+    assert [report.plain(v) for v in (np.float64(np.nan), jax.numpy.inf, np.int64(3))] == [None, None, 3]
 
 
 @pytest.fixture(scope="module")
 def wall(tmp_path_factory):
-    """A wall at x = 0, 6 m wide and 5 m high, with a window of 2 m, as a cloud on file."""
+    """File of a point cloud: a wall at x = 0, 6 m wide and 5 m high, with a window of 2 m."""
     y, z = np.meshgrid(np.arange(-3.0, 3.0, 0.1), np.arange(0.0, 5.0, 0.1))
     points = np.stack([np.zeros(y.size), y.ravel(), z.ravel()], axis=1)
     window = (np.abs(points[:, 1]) < 1.0) & (np.abs(points[:, 2] - 2.0) < 1.0)
@@ -235,7 +243,7 @@ def test_every_mode_plans_every_case(case, mode):
 def test_a_cache_is_used_only_where_one_is_named(monkeypatch, tmp_path):
     folders = []
     monkeypatch.setattr(cli, "use_cache", folders.append)
-    too_few = ("plan", "ascend", "--nodes", 3)  # ends before anything is compiled
+    too_few = ("plan", "ascend", "--nodes", 3)  # ends before any compilation
     assert invoke(*too_few).exit_code == 2
     assert folders == []
     assert invoke(*too_few, "--cache", tmp_path).exit_code == 2

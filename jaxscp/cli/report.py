@@ -1,0 +1,132 @@
+"""Reports of a solution: tables for people, JSON for scripts."""
+
+import functools
+import math
+import time
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from jaxscp.core.status import Status, status_names
+from jaxscp.landing.scenario import LandingScenario
+from jaxscp.planner.planner import Planner
+from jaxscp.solver.solution import Solution
+
+# quantity of the history -> heading, format
+COLUMNS = {
+    "cost": ("cost", ".4f"),
+    "final_time": (r"t_f \[s]", ".3f"),
+    "virtual_control": ("|nu|", ".1e"),
+    "step_norm": ("|dz|", ".1e"),
+    "defect": ("defect", ".1e"),
+    "conic_iterations": ("conic steps", "d"),
+}
+
+
+class Timing(NamedTuple):
+    """Seconds of a plan."""
+
+    solve: float
+    """Of a second call, with all compiled: guess, subproblems and certificate."""
+    compile: float
+    """Of the first call, beyond that."""
+
+
+def timed(planner: Planner, scenario: LandingScenario) -> tuple[Solution, Timing]:
+    """Plan twice: the first call compiles, the second one is timed."""
+    first = time.perf_counter()
+    jax.block_until_ready(planner(scenario))
+    second = time.perf_counter()
+    solution = jax.block_until_ready(planner(scenario))
+    solve = time.perf_counter() - second
+    return solution, Timing(solve, max(second - first - solve, 0.0))
+
+
+def converged(solution: Solution) -> bool:
+    """Whether the plan may be flown."""
+    return bool(solution.status == Status.converged)
+
+
+def report(solution: Solution, timing: Timing) -> dict[str, Any]:
+    """The JSON object: plain numbers in SI units; null in place of NaN and infinity."""
+    certificate = solution.certificate
+    checks = zip(certificate.names, certificate.at_nodes, certificate.between_nodes, strict=True)
+    return {
+        "status": status_names(solution.status),
+        "iterations": int(solution.iterations),
+        "interior_point_iterations": int(solution.interior_point_iterations),
+        "cost": plain(solution.cost),
+        "final_time": plain(solution.final_time),
+        "solve_seconds": timing.solve,
+        "compile_seconds": timing.compile,
+        "defect": plain(certificate.defect),
+        "violation": plain(certificate.violation),
+        "optimality": None if certificate.optimality is None else plain(certificate.optimality),
+        "end_error": {
+            "position": plain(certificate.position_error),
+            "velocity": plain(certificate.velocity_error),
+            "attitude": plain(certificate.attitude_error),
+            "body_rate": plain(certificate.rate_error),
+        },
+        "constraints": {
+            name: {"at_nodes": plain(at), "between_nodes": plain(between)} for name, at, between in checks
+        },
+        "history": history(solution),
+    }
+
+
+def history(solution: Solution) -> list[dict[str, Any]]:
+    """One dict an iteration, with the quantities that the method records."""
+    columns = {name: np.asarray(values) for name, values in vars(solution.history).items()}
+    return [
+        {"iteration": row + 1, **{name: plain(values[row]) for name, values in columns.items()}}
+        for row in range(int(solution.iterations))
+    ]
+
+
+def plain(value: Any) -> int | float | None:
+    """A number that JSON can hold.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> plain(jnp.array(2)), plain(jnp.array(0.5)), plain(jnp.array(jnp.nan))
+        (2, 0.5, None)
+    """
+    number = np.asarray(value).item()
+    return number if math.isfinite(number) else None
+
+
+def print_report(console: Console, title: str, solution: Solution, timing: Timing) -> None:
+    """Print the iterations, the status, the certificate and the times."""
+    count = max(int(solution.iterations), 1)
+    show = functools.partial(console.print, highlight=False, soft_wrap=True)
+    show(iteration_table(title, solution))
+    show(
+        f"status: {status_names(solution.status)}", style="bold green" if converged(solution) else "bold red"
+    )
+    show(Status[solution.status])
+    if bool(solution.differentiable):
+        steps = int(solution.interior_point_iterations)
+        show(f"{steps} Newton steps of the interior point, from the last iterate to the optimum")
+    show(f"cost {float(solution.cost):.6g}, flight time {float(solution.final_time):.4g} s")
+    show("\ncertificate: the controls integrated again from the start, without correction", style="bold")
+    show(solution.certificate.report())
+    show("\ntime", style="bold")
+    show(f"{1e3 * timing.solve:.1f} ms a plan once compiled: guess, {count} iterations, end, certificate")
+    show(f"{timing.compile:.1f} s to compile")
+
+
+def iteration_table(title: str, solution: Solution) -> Table:
+    """One row an iteration."""
+    rows = history(solution)
+    shown = {name: column for name, column in COLUMNS.items() if rows and name in rows[0]}
+    table = Table(title=title, title_justify="left", title_style="bold")
+    for heading in ("iteration", *(heading for heading, _ in shown.values())):
+        table.add_column(heading, justify="right")
+    for row in rows:
+        cells = ("-" if row[name] is None else format(row[name], style) for name, (_, style) in shown.items())
+        table.add_row(str(row["iteration"]), *cells)
+    return table

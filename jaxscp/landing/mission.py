@@ -1,0 +1,178 @@
+"""The data of a landing: vehicle, ends, corridor, limits and weights. Every float is a leaf of the pytree.
+
+Optional parts (limits, keep-out zones, gates, a moving deck, free components) are ``None`` by default, and then add no
+work.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxscp.core.arrays import floats, namespace
+from jaxscp.core.types import Points, Quaternion, Scalar, Vector3
+from jaxscp.corridor.polytopes import Corridor
+from jaxscp.dynamics import rotations
+from jaxscp.dynamics.airframes import Airframe
+
+
+class BodyState(eqx.Module):
+    """Position, velocity, attitude and body rate of a vehicle."""
+
+    position: Vector3
+    """m, world."""
+    velocity: Vector3
+    """m/s, world."""
+    attitude: Quaternion
+    """(w, x, y, z), body to world, unit norm."""
+    body_rate: Vector3
+    """rad/s, body."""
+
+    def vector(self) -> Float[Array, "13"]:
+        """The 13 states in order."""
+        return jnp.concatenate([self.position, self.velocity, self.attitude, self.body_rate])
+
+
+def at_rest(position, yaw: Scalar | float = 0.0) -> BodyState:
+    """Level and at rest at a position in m, heading ``yaw`` radians.
+
+    Example:
+        >>> import jaxscp
+        >>> jaxscp.at_rest([1.0, 2.0, 3.0]).vector().shape
+        (13,)
+    """
+    zero = floats(np.zeros(3))
+    return BodyState(floats(position), zero, rotations.from_yaw(yaw), zero)
+
+
+class Components(eqx.Module):
+    """Which components of a ``BodyState`` are fixed: one where fixed, zero where free; (3,) each."""
+
+    position: Vector3
+    velocity: Vector3
+    attitude: Vector3
+    """By the three components of the rotation from the state asked for, in its own axes: roll, pitch, yaw."""
+    body_rate: Vector3
+
+    def vector(self) -> Float[Array, "12"]:
+        """The 12 components in order."""
+        return jnp.concatenate([self.position, self.velocity, self.attitude, self.body_rate])
+
+
+def fixed(*, position=1.0, velocity=1.0, attitude=1.0, body_rate=1.0) -> Components:
+    """Components that are fixed; each argument is a number for all three or three numbers.
+
+    Example:
+        >>> import jaxscp
+        >>> jaxscp.fixed(attitude=[1, 1, 0]).attitude.tolist()  # any heading
+        [1.0, 1.0, 0.0]
+    """
+    values = (position, velocity, attitude, body_rate)
+    xp = namespace(values)
+    three = [jnp.asarray(xp.broadcast_to(xp.asarray(v, float), (3,))) for v in values]
+    return Components(*three)
+
+
+class Weights(eqx.Module):
+    """Weights of the cost: control effort w_u and flight time w_t (equation 8, Table I)."""
+
+    control: Scalar
+    time: Scalar
+
+
+class FlightLimits(eqx.Module):
+    """Limits on the state of the flight and on the rotors' rates; None where there is none.
+
+    Example:
+        >>> import jaxscp
+        >>> jaxscp.flight_limits(speed=4.0, tilt=0.6).body_rate is None
+        True
+    """
+
+    speed: Scalar | None = None
+    """m/s"""
+    tilt: Scalar | None = None
+    """rad, between the body's z axis and the vertical; below pi."""
+    body_rate: Scalar | None = None
+    """rad/s, norm of the body rate."""
+    thrust_rate: Scalar | None = None
+    """N/s, of every rotor."""
+
+
+def flight_limits(*, speed=None, tilt=None, body_rate=None, thrust_rate=None) -> FlightLimits:
+    """``FlightLimits`` from plain numbers."""
+    numbers = (speed, tilt, body_rate, thrust_rate)
+    return FlightLimits(*(None if v is None else floats(v) for v in numbers))
+
+
+class Ellipsoids(eqx.Module):
+    """Ellipsoids {p : |shape (p - centre)| <= 1}."""
+
+    centres: Float[Array, "count 3"]
+    """m"""
+    shapes: Float[Array, "count 3 3"]
+    """1/m; rows are the axes, each divided by its semi-axis."""
+
+
+def ellipsoids(centres, semi_axes) -> Ellipsoids:
+    """Ellipsoids with axes along the world's; balls if each has one semi-axis.
+
+    Args:
+        centres: (count, 3) in m.
+        semi_axes: (count, 3) or, for balls, (count,) or one number; in m.
+
+    Example:
+        >>> import jaxscp
+        >>> jaxscp.ellipsoids([[0.0, 0.0, 1.0]], 0.5).shapes[0].diagonal().tolist()
+        [2.0, 2.0, 2.0]
+    """
+    xp = namespace(centres, semi_axes)
+    centres = xp.atleast_2d(xp.asarray(centres, float))
+    semi_axes = xp.asarray(semi_axes, float)
+    if semi_axes.ndim < 2:
+        semi_axes = xp.broadcast_to(semi_axes, centres.shape[:1])[:, None]
+    semi_axes = xp.broadcast_to(semi_axes, centres.shape)
+    with np.errstate(divide="ignore"):  # ``validate`` names the wrong field
+        shapes = np.eye(3) / semi_axes[:, None, :]
+    return Ellipsoids(jnp.asarray(centres), jnp.asarray(shapes))
+
+
+class Mission(eqx.Module):
+    """The data of a landing; ``LandingScenario`` is the same with a planner's interface."""
+
+    airframe: Airframe
+    start: BodyState
+    goal: BodyState
+    """On the deck. For a moving deck: its position at time zero, and the velocity relative to the deck.
+    The landing cone stands on the goal's own x-y plane, so that a tilted goal is a tilted deck."""
+    corridor: Corridor
+    cone_angle: Scalar
+    """gamma_c in radians: angle of the landing cone's side above the deck; pi/4 in the paper."""
+    weights: Weights
+    dilation_min: Scalar
+    """Least dt/dtau in s: bounds the flight time and every part of the mesh."""
+    dilation_max: Scalar
+    """Greatest dt/dtau in s."""
+    obstacles: Points | None = None
+    """Point cloud in m that the corridor avoids, for pictures and checks; the solver does not use it."""
+    limits: FlightLimits = FlightLimits()
+    keep_out: Ellipsoids | None = None
+    """Zones to stay out of."""
+    gates: Ellipsoids | None = None
+    """Zones to pass through, in this order, each at a time of the planner's choice: way-points and gates."""
+    deck_velocity: Vector3 | None = None
+    """m/s, world; None for a deck at rest."""
+    start_fixed: Components | None = None
+    """None: all."""
+    goal_fixed: Components | None = None
+    """None: all."""
+
+    def goal_at(self, time: Scalar) -> BodyState:
+        """The goal in the world at a time in s."""
+        if self.deck_velocity is None:
+            return self.goal
+        here, velocity = (
+            self.goal.position + self.deck_velocity * time,
+            self.goal.velocity + self.deck_velocity,
+        )
+        return BodyState(here, velocity, self.goal.attitude, self.goal.body_rate)

@@ -1,0 +1,193 @@
+"""Rules on the values of a mission, each written once.
+
+``rules`` works on NumPy arrays (before anything is compiled) and on traced arrays.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxscp.landing.mission import Mission
+
+CLEARANCE = 1e-6  # m by which start and goal may miss their polytope, for rounding
+UNIT_NORM = 1e-3  # by which a quaternion's norm may differ from one
+
+
+class Rule(NamedTuple):
+    """One requirement."""
+
+    holds: Any
+    """Array of one boolean."""
+    message: str
+    """Field and likely cause, for when it does not hold."""
+
+
+def rules(s: Mission, xp):
+    """Every requirement on values; ``xp`` is numpy or jax.numpy."""
+    yield from _vehicle_rules(s, xp)
+    yield from _limit_rules(s, xp)
+    yield from _corridor_rules(s, xp)
+    yield from _flight_limit_rules(s, xp)
+    yield from _zone_rules(s, xp)
+    yield from _component_rules(s, xp)
+
+
+def _vehicle_rules(s: Mission, xp):
+    body, frame = s.airframe.body, s.airframe
+    yield Rule(body.mass > 0, f"airframe.body.mass: must be positive, got {body.mass} kg.")
+    asymmetry = xp.max(xp.abs(body.inertia - xp.swapaxes(body.inertia, -1, -2)))
+    definite = _positive_definite(0.5 * (body.inertia + xp.swapaxes(body.inertia, -1, -2)))
+    yield Rule(
+        definite & (asymmetry <= 1e-9 * xp.max(xp.abs(body.inertia))),
+        "airframe.body.inertia: must be symmetric and positive definite; units are kg m^2.",
+    )
+    excess = xp.max(frame.thrust_min - frame.thrust_max, initial=-np.inf)
+    yield Rule(
+        excess <= 0.0, f"airframe.thrust_min: exceeds airframe.thrust_max by {excess} N for some rotor."
+    )
+    # Necessary, and for upright rotors sufficient: the greatest thrust along the body's z axis carries the weight.
+    along = body.thrust_map[2]
+    greatest = xp.sum(xp.maximum(along * frame.thrust_min, along * frame.thrust_max))
+    least = xp.sum(xp.minimum(along * frame.thrust_min, along * frame.thrust_max))
+    weight = -body.mass * body.gravity[2]
+    yield Rule(
+        greatest >= weight,
+        f"airframe: the rotors cannot carry the weight (greatest thrust {greatest} N, weight {weight} N): check "
+        "airframe.body.mass in kg and airframe.thrust_max in N a rotor; hover is impossible.",
+    )
+    yield Rule(
+        least <= weight,
+        f"airframe.thrust_min: even the least thrust {least} N exceeds the weight {weight} N; hover is impossible.",
+    )
+
+
+def _limit_rules(s: Mission, xp):
+    yield Rule(
+        (s.dilation_min > 0) & (s.dilation_min < s.dilation_max),
+        f"dilation_min: need 0 < dilation_min < dilation_max, got {s.dilation_min} and {s.dilation_max} s.",
+    )
+    yield Rule(
+        (s.cone_angle > 0) & (s.cone_angle < np.pi / 2),
+        f"cone_angle: must lie between 0 and pi/2 radians, got {s.cone_angle}. Was it given in degrees?",
+    )
+    yield Rule(
+        (s.weights.control >= 0) & (s.weights.time >= 0) & (s.weights.control + s.weights.time > 0),
+        "weights: control and time must not be negative, and one must be positive.",
+    )
+    for name in ("start", "goal"):
+        norm = xp.sqrt(xp.sum(getattr(s, name).attitude ** 2))
+        yield Rule(
+            xp.abs(norm - 1.0) <= UNIT_NORM,
+            f"{name}.attitude: quaternion (w, x, y, z) has norm {norm}, not 1. Normalise it; is w first?",
+        )
+
+
+def _corridor_rules(s: Mission, xp):
+    corridor = s.corridor
+    inside_first = xp.min(corridor.offsets[0] - corridor.normals[0] @ s.start.position)
+    inside_last = xp.min(corridor.offsets[-1] - corridor.normals[-1] @ s.goal.position)
+    yield Rule(
+        inside_first >= -CLEARANCE,
+        f"start.position: lies {-inside_first} m outside the corridor's first polytope (empty, or elsewhere?).",
+    )
+    yield Rule(
+        inside_last >= -CLEARANCE,
+        f"goal.position: lies {-inside_last} m outside the corridor's last polytope (empty, or elsewhere?).",
+    )
+    for side, first in (("before", 0), ("after", 1)):
+        normals, offsets = (
+            corridor.normals[first:][: corridor.count - 1],
+            corridor.offsets[first:][: corridor.count - 1],
+        )
+        depth = xp.min(offsets - xp.einsum("kfc,kc->kf", normals, corridor.joints), axis=-1, initial=np.inf)
+        yield Rule(
+            xp.all(depth >= -CLEARANCE),
+            f"corridor.joints: a joint lies outside the polytope {side} it; those polytopes are disjoint or empty, "
+            "or joints and polytopes are in different orders.",
+        )
+    yield Rule(
+        xp.all(_bounded(corridor.normals, xp)),
+        "corridor.normals: a polytope is unbounded; add faces (jaxscp.corridor.box makes a bounded one).",
+    )
+
+
+def _bounded(normals, xp):
+    """Whether {d : normals d <= 0} holds only zero, for each polytope.
+
+    A larger cone contains a line or an extreme ray. With a line, the normals have rank below three. An extreme ray
+    lies on two faces, and so along the cross product of their normals.
+    """
+    a, b = np.triu_indices(normals.shape[1], 1)
+    rays = xp.cross(normals[:, a], normals[:, b])
+    length = xp.sqrt(xp.sum(rays**2, axis=-1, keepdims=True))
+    proper = length[..., 0] > 1e-9
+    rays = rays / xp.maximum(length, 1e-9)
+    along = xp.einsum("kfc,krc->krf", normals, rays)
+    open_ray = (xp.max(along, axis=-1) <= 1e-9) | (xp.min(along, axis=-1) >= -1e-9)
+    full_rank = _positive_definite(xp.einsum("kfc,kfd->kcd", normals, normals) - 1e-9 * np.eye(3))
+    return full_rank & ~xp.any(open_ray & proper, axis=-1)
+
+
+def _positive_definite(matrices):
+    """Whether symmetric 3 x 3 matrices are, by Sylvester's criterion: all leading minors are positive."""
+    (a, b, c), (_, d, e), (_, _, f) = ([matrices[..., i, j] for j in range(3)] for i in range(3))
+    minor = a * d - b * b
+    whole = a * (d * f - e * e) - b * (b * f - c * e) + c * (b * e - c * d)
+    return (a > 0) & (minor > 0) & (whole > 0)
+
+
+def _flight_limit_rules(s: Mission, xp):
+    """Limits are positive, and both ends within them as far as they are fixed."""
+    sizes = {"speed": ("velocity", "m/s"), "body_rate": ("body_rate", "rad/s")}
+    for name in ("speed", "tilt", "body_rate", "thrust_rate"):
+        limit = getattr(s.limits, name)
+        if limit is None:
+            continue
+        yield Rule(limit > 0, f"limits.{name}: must be positive, got {limit}.")
+        for end, fixed in (("start", s.start_fixed), ("goal", s.goal_fixed)):
+            if name not in sizes or fixed is not None:
+                continue
+            part, unit = sizes[name]
+            size = xp.sqrt(xp.sum(getattr(getattr(s, end), part) ** 2))
+            yield Rule(size <= limit, f"{end}.{part}: {size} {unit} is beyond limits.{name}, {limit} {unit}.")
+    if s.limits.tilt is not None:
+        yield Rule(
+            s.limits.tilt < np.pi, f"limits.tilt: must be below pi radians, got {s.limits.tilt}; in degrees?"
+        )
+        for end, fixed in (("start", s.start_fixed), ("goal", s.goal_fixed)):
+            across = xp.sum(getattr(s, end).attitude[1:3] ** 2)
+            inside = across <= xp.sin(0.5 * s.limits.tilt) ** 2 + CLEARANCE
+            yield Rule(inside | (fixed is not None), f"{end}.attitude: tilted by more than limits.tilt.")
+
+
+def _zone_rules(s: Mission, xp):
+    for name in ("keep_out", "gates"):
+        zones = getattr(s, name)
+        if zones is not None:
+            yield Rule(
+                xp.all(xp.abs(xp.linalg.det(zones.shapes)) > 0),
+                f"{name}.shapes: a matrix is singular; semi-axes must be finite (jaxscp.ellipsoids makes them).",
+            )
+    if s.keep_out is not None:
+        for end, fixed in (("start", s.start_fixed), ("goal", s.goal_fixed)):
+            away = xp.einsum("zrc,zc->zr", s.keep_out.shapes, getattr(s, end).position - s.keep_out.centres)
+            outside = xp.all(xp.sum(away**2, axis=-1) >= 1.0)
+            yield Rule(outside | (fixed is not None), f"{end}.position: lies inside a zone of keep_out.")
+    if s.gates is not None:
+        heights = xp.einsum("kfc,gc->gkf", s.corridor.normals, s.gates.centres) - s.corridor.offsets
+        yield Rule(
+            xp.all(xp.any(xp.all(heights <= CLEARANCE, axis=-1), axis=-1)),
+            "gates.centres: a gate's centre lies outside every polytope of the corridor.",
+        )
+
+
+def _component_rules(s: Mission, xp):
+    for name in ("start_fixed", "goal_fixed"):
+        parts = getattr(s, name)
+        if parts is not None:
+            for part in ("position", "velocity", "attitude", "body_rate"):
+                value = getattr(parts, part)
+                yield Rule(
+                    xp.all((value == 0) | (value == 1)),
+                    f"{name}.{part}: each component is one (fixed) or zero (free), got {value}.",
+                )
