@@ -1,4 +1,4 @@
-"""Build hook: compiles the C++ libraries if a C++ compiler is present."""
+"""Build hook: compiles the C++ libraries, if there is a C++ compiler."""
 
 import importlib.util
 import os
@@ -12,12 +12,12 @@ from pathlib import Path
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 SHARED = Path("jaxscp/backends/native")
-LIBRARIES = {  # sources compiled once for each instruction level, and sources compiled for any processor
+LIBRARIES = {  # stem: sources compiled for each instruction set, sources compiled for any
     Path("jaxscp/conic/native/interior_point"): (("handler",), ("gpu_handler",)),
-    Path("jaxscp/linalg/gram/native/normal"): (("handler",), ()),
+    Path("jaxscp/linalg/gram/native/gram"): (("handler",), ()),
     Path("jaxscp/linalg/riccati/native/riccati"): (("handler",), ()),
-    Path("jaxscp/linalg/eigen/native/semidefinite"): (("handler",), ()),
-    Path("jaxscp/integration/native/sweep"): (("handler",), ("gpu_handler",)),
+    Path("jaxscp/linalg/eigen/native/eigen"): (("handler",), ()),
+    Path("jaxscp/integration/native/integration"): (("handler",), ("gpu_handler",)),
 }
 X86 = {
     "v4": ("-march=x86-64-v4", "-mprefer-vector-width=512"),
@@ -28,25 +28,27 @@ FLAGS = ("-std=c++20", "-O3", "-fno-math-errno", "-fPIC", "-Wno-psabi")
 
 
 class NativeBuild(BuildHookInterface):
-    """One library for each instruction level; the package chooses a level when it is used."""
+    """One file for each library and instruction set; the package loads the best one that runs."""
 
     def initialize(self, version: str, build_data: dict) -> None:
-        """Compile into the source tree: editable and ordinary installs both take the libraries from there."""
+        """Compile into the source tree, from where both editable and ordinary installs take the files."""
         if self.target_name != "wheel":
             return
         compiler = shutil.which(os.environ.get("CXX", "")) or shutil.which("c++") or shutil.which("g++")
         if compiler is None:
-            self.app.display_warning("no C++ compiler: all will run as compiled by XLA, slower")
+            self.app.display_warning("no C++ compiler: jaxscp will run without its C++ libraries, slower")
             return
         levels = ANYWHERE | (X86 if platform.machine().lower() in ("x86_64", "amd64") else {})
-        wanted = [(stem, *level) for stem in LIBRARIES for level in levels.items()]
+        builds = [(stem, *level) for stem in LIBRARIES for level in levels.items()]
         try:
             with ThreadPoolExecutor() as pool:
                 libraries = list(
-                    pool.map(lambda each: compile_library(compiler, Path(self.root), *each), wanted)
+                    pool.map(lambda each: compile_library(compiler, Path(self.root), *each), builds)
                 )
         except subprocess.CalledProcessError as error:
-            self.app.display_warning(f"what is in C++ was not compiled, and will run slower:\n{error.stderr}")
+            self.app.display_warning(
+                f"the C++ libraries do not compile, and jaxscp will run slower:\n{error.stderr}"
+            )
             return
         build_data["pure_python"] = False
         build_data["infer_tag"] = True
@@ -54,9 +56,16 @@ class NativeBuild(BuildHookInterface):
 
 
 def compile_library(compiler: str, root: Path, stem: Path, level: str, machine: tuple[str, ...]) -> Path:
-    """Build one level; returns the library.
+    """File of a library for one instruction set.
 
-    ``runs_here.cc`` asks the processor for its instructions and must not use them: it is compiled for any processor.
+    ``runs_here.cc`` asks the processor for its instructions, so it is compiled for any processor.
+
+    Args:
+        compiler: C++ compiler.
+        root: folder of the project.
+        stem: key of ``LIBRARIES``.
+        level: name of the instruction set.
+        machine: compiler flags of the instruction set.
     """
     headers = Path(importlib.util.find_spec("jaxlib").submodule_search_locations[0]) / "include"
     folder = (root / stem).parent
@@ -68,8 +77,19 @@ def compile_library(compiler: str, root: Path, stem: Path, level: str, machine: 
     library = folder / f"{stem.name}_{level}.so"
     with tempfile.TemporaryDirectory() as scratch:
         objects = [Path(scratch) / f"{source.stem}.o" for source in sources]
-        for made, (source, flags) in zip(objects, sources.items(), strict=True):
-            run(compiler, *FLAGS, *flags, f"-I{root / SHARED}", "-isystem", headers, "-c", source, "-o", made)
+        for output, (source, flags) in zip(objects, sources.items(), strict=True):
+            run(
+                compiler,
+                *FLAGS,
+                *flags,
+                f"-I{root / SHARED}",
+                "-isystem",
+                headers,
+                "-c",
+                source,
+                "-o",
+                output,
+            )
         run(compiler, "-shared", *objects, "-ldl", "-o", library)
     return library
 

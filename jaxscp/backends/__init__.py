@@ -1,1 +1,1 @@
-"""Compiled libraries, CUDA kernels, and functions written as C++ or CUDA."""
+"""Compiled libraries, CUDA kernels, and translation of array functions to C++ or CUDA."""

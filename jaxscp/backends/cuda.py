@@ -1,7 +1,7 @@
-"""Kernels for NVIDIA GPUs: compiled when they are needed, for the GPUs of this process, by NVIDIA's run-time compiler.
+"""CUDA kernels, compiled at run time for the GPUs of this process by NVIDIA's compiler (NVRTC).
 
-That is in the extra ``cuda``; what launches a kernel is part of a library for CPUs (``driver.h``). Without either, and
-on other GPUs, all runs as JAX.
+NVRTC is in the extra ``cuda``. The C++ that launches kernels (``driver.h``) is part of the compiled libraries. Without
+either, and on other GPUs, JAX's own implementation runs.
 """
 
 import functools
@@ -21,7 +21,10 @@ OLDEST = (8, 0)  # compute capability: the first whose tensor cores add float64
 
 
 def capability() -> str | None:
-    """Compute capability of this process's GPUs, ``"90"`` say, if they have what kernels need and are alike."""
+    """Compute capability of this process's GPUs, such as ``"90"``.
+
+    None if there is no GPU, if GPUs differ, or if they are older than ``OLDEST``.
+    """
     if jax.default_backend() != "gpu":
         return None
     found = {getattr(device, "compute_capability", "") for device in jax.local_devices()}
@@ -32,7 +35,7 @@ def capability() -> str | None:
 
 
 def launches(library: libraries.Library) -> bool:
-    """Whether JAX runs on GPUs for kernels, and what launches a library's was compiled; makes that known to XLA."""
+    """Whether a library can launch its kernel on JAX's GPUs; registers the launcher with XLA."""
     return (
         library.on_gpu != ""
         and capability() is not None
@@ -42,7 +45,7 @@ def launches(library: libraries.Library) -> bool:
 
 @functools.cache
 def compiler() -> Any:
-    """NVIDIA's run-time compiler, if it is installed."""
+    """NVRTC's Python module; None if it is not installed."""
     try:
         nvrtc = importlib.import_module("cuda.bindings.nvrtc")
         nvrtc.nvrtcVersion()
@@ -51,17 +54,17 @@ def compiler() -> Any:
     return nvrtc
 
 
-def machine_code(
-    source: str, capability: str, whose: str, folders: Sequence[Path] = (), **macros: object
+def compile_cubin(
+    source: str, capability: str, owner: str, folders: Sequence[Path] = (), **macros: object
 ) -> bytes | None:
-    """A kernel as machine code of the GPU; None and a warning if it does not compile.
+    """Cubin (a GPU's machine code) of a kernel; None and a warning if compilation fails.
 
     Args:
-        source: its text.
-        capability: of the GPU.
-        whose: the kernel is, for the warning.
-        folders: where headers are.
-        macros: to be defined.
+        source: CUDA text.
+        capability: compute capability of the GPU.
+        owner: algorithm that the kernel belongs to, for the warning.
+        folders: folders of headers.
+        macros: preprocessor definitions.
     """
     nvrtc = compiler()
     options = [
@@ -71,29 +74,29 @@ def machine_code(
         *(f"--include-path={folder}" for folder in folders),
         *(f"-D{name}={value}" for name, value in macros.items()),
     ]
-
-    def checked(result: Any, *values: Any) -> Any:
-        if int(result) != 0:
-            raise RuntimeError(f"NVIDIA's compiler: {result}")
-        return values[0] if values else None
-
-    program = checked(*nvrtc.nvrtcCreateProgram(source.encode(), b"kernel.cu", 0, [], []))
+    program = _checked(*nvrtc.nvrtcCreateProgram(source.encode(), b"kernel.cu", 0, [], []))
     try:
         (result,) = nvrtc.nvrtcCompileProgram(program, len(options), [option.encode() for option in options])
         if int(result) != 0:
-            log = bytearray(checked(*nvrtc.nvrtcGetProgramLogSize(program)))
-            checked(*nvrtc.nvrtcGetProgramLog(program, log))
-            said = log.decode(errors="replace").strip("\0\n ")
-            message = f"jaxscp: {whose}'s kernel does not compile, and it runs as JAX ({result}: {said})"
+            log = bytearray(_checked(*nvrtc.nvrtcGetProgramLogSize(program)))
+            _checked(*nvrtc.nvrtcGetProgramLog(program, log))
+            errors = log.decode(errors="replace").strip("\0\n ")
+            message = f"jaxscp: {owner}'s kernel does not compile, and it runs as JAX ({result}: {errors})"
             warnings.warn(message, stacklevel=3)
             return None
-        image = bytearray(checked(*nvrtc.nvrtcGetCUBINSize(program)))
-        checked(*nvrtc.nvrtcGetCUBIN(program, image))
+        cubin = bytearray(_checked(*nvrtc.nvrtcGetCUBINSize(program)))
+        _checked(*nvrtc.nvrtcGetCUBIN(program, cubin))
     finally:
-        checked(*nvrtc.nvrtcDestroyProgram(program))
-    return bytes(image)
+        _checked(*nvrtc.nvrtcDestroyProgram(program))
+    return bytes(cubin)
 
 
-def attributes(image: bytes) -> dict:
-    """What a call carries with it for a kernel's sake."""
-    return {"image": np.frombuffer(image, np.uint8), "name": hashlib.sha256(image).hexdigest()}
+def attributes(cubin: bytes) -> dict:
+    """XLA FFI attributes that carry a kernel: the cubin, and its hash as name."""
+    return {"cubin": np.frombuffer(cubin, np.uint8), "name": hashlib.sha256(cubin).hexdigest()}
+
+
+def _checked(result: Any, *values: Any) -> Any:
+    if int(result) != 0:
+        raise RuntimeError(f"NVIDIA's compiler: {result}")
+    return values[0] if values else None

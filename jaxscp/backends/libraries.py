@@ -1,13 +1,13 @@
-"""Libraries in C++, which are compiled when the package is installed, one for each level of the instruction set.
+"""Compiled C++ libraries: one file for each library and instruction set, built when the package is installed.
 
-What they share is here too:
+Headers shared by all of them are in ``native/``:
 
-    pack.h         a number for several places or intervals at once
-    dense.h        products of small matrices, their rows in registers
-    memory.h       arrays that serve again
-    runs_here.cc   whether this machine has the instructions of a library
-    spread.h       work shared among the threads of XLA
-    driver.h       NVIDIA's driver, for what launches kernels on a GPU; ``cuda.py`` compiles those
+    pack.h          SIMD register of float64
+    dense.h         products of small matrices, whose rows are in registers
+    workspace.h     arrays that are allocated once and used again
+    runs_here.cc    check of this machine's instruction set
+    parallel_for.h  loops over XLA's thread pool
+    driver.h        NVIDIA's driver, which launches kernels; ``cuda.py`` compiles those
 """
 
 import ctypes
@@ -20,50 +20,53 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-LEVELS = ("v4", "v3", "any")  # best first: two of x86-64, and what all machines of a kind have
+LEVELS = ("v4", "v3", "any")
+"""Instruction sets, best first: x86-64-v4, x86-64-v3, and the compiler's default."""
 
 
 def in_float64(tree: Any) -> bool:
-    """Whether every array is of the only numbers that C++ takes; of others it would read nonsense."""
+    """Whether every array is float64, the only type that the C++ reads."""
     return all(leaf.dtype == jnp.float64 for leaf in jax.tree.leaves(tree))
 
 
-def choose(
+def dispatch(
     cpu: Callable[..., Any] | None,
-    elsewhere: Callable[..., Any],
+    default: Callable[..., Any],
     *args: Any,
     cuda: Callable[..., Any] | None = None,
 ) -> Any:
-    """Call the function of the device; that of other devices is not even traced where there are none.
+    """Result of the implementation for the device that runs the program.
+
+    Implementations for absent devices are not traced.
 
     Args:
-        cpu: what was compiled for CPUs, if anything was.
-        elsewhere: the same as JAX.
-        args: of all.
-        cuda: what was compiled for the GPU that is JAX's default device, if anything was.
+        cpu: compiled implementation for CPUs; None if there is none.
+        default: implementation in JAX.
+        args: arguments of every implementation.
+        cuda: compiled implementation for the GPU that is JAX's default device; None if there is none.
     """
     if cpu is not None and jax.default_backend() == "cpu":
         return cpu(*args)
     compiled = {name: found for name, found in (("cpu", cpu), ("cuda", cuda)) if found is not None}
-    return jax.lax.platform_dependent(*args, **compiled, default=elsewhere) if compiled else elsewhere(*args)
+    return jax.lax.platform_dependent(*args, **compiled, default=default) if compiled else default(*args)
 
 
 class Library(NamedTuple):
-    """What was compiled of one part of the package, if a compiler was found at its installation."""
+    """A compiled library; its files exist only if a C++ compiler was found at installation."""
 
     stem: Path
-    """Of its files, ``stem_level.so``."""
+    """Path of the files without suffix: ``stem_level.so``."""
     targets: tuple[str, ...]
-    """What XLA calls on a CPU."""
+    """XLA FFI targets on a CPU: the names of C++ symbols."""
     on_gpu: str = ""
-    """What it calls on an NVIDIA GPU to launch a kernel, if there is one; of the same files."""
+    """XLA FFI target in the same files that launches a CUDA kernel; empty if there is no kernel."""
 
     def available(self) -> bool:
-        """Whether it was compiled for this machine; makes its targets known to XLA."""
+        """Whether the library was compiled for this machine; registers its targets with XLA."""
         return self.level() is not None
 
     def level(self) -> str | None:
-        """The instruction set that it is compiled for here, if it is; see ``LEVELS``."""
+        """Instruction set that is used here, one of ``LEVELS``; None if the library was not compiled."""
         found = [level(self.stem, target) for target in self.targets]
         return found[0] if all(found) else None
 
@@ -75,25 +78,25 @@ INTERIOR_POINT = Library(
     ("jaxscp_interior_point",),
     "jaxscp_interior_point_on_gpu",
 )
-NORMAL = Library(_PACKAGE / "linalg/gram/native/normal", ("jaxscp_normal",))
+GRAM = Library(_PACKAGE / "linalg/gram/native/gram", ("jaxscp_gram",))
 RICCATI = Library(
     _PACKAGE / "linalg/riccati/native/riccati", ("jaxscp_riccati_factor", "jaxscp_riccati_solve")
 )
-SEMIDEFINITE = Library(
-    _PACKAGE / "linalg/eigen/native/semidefinite", ("jaxscp_nearest_semidefinite", "jaxscp_eigen")
+EIGEN = Library(_PACKAGE / "linalg/eigen/native/eigen", ("jaxscp_nearest_semidefinite", "jaxscp_eigen"))
+INTEGRATION = Library(
+    _PACKAGE / "integration/native/integration", ("jaxscp_integrate",), "jaxscp_integrate_on_gpu"
 )
-SWEEP = Library(_PACKAGE / "integration/native/sweep", ("jaxscp_sweep",), "jaxscp_sweep_on_gpu")
-EVERY = (INTERIOR_POINT, NORMAL, RICCATI, SEMIDEFINITE, SWEEP)
+EVERY = (INTERIOR_POINT, GRAM, RICCATI, EIGEN, INTEGRATION)
 
 
 @functools.cache
 def level(stem: Path, handler: str, platform: str = "cpu") -> str | None:
-    """The best level that was compiled and runs here, whose handler XLA then knows by its own name; None without one.
+    """Best instruction set that was compiled and runs here; None if there is none. Registers the handler with XLA.
 
     Args:
-        stem: of the libraries' files, ``stem_level.so``.
-        handler: what is to be called.
-        platform: where, by XLA's name.
+        stem: path of the library's files without suffix.
+        handler: name of the C++ symbol, and of the XLA FFI target.
+        platform: XLA's name of the platform.
     """
     for name in LEVELS:
         if (found := library(stem, name)) is not None:
@@ -103,7 +106,7 @@ def level(stem: Path, handler: str, platform: str = "cpu") -> str | None:
 
 @functools.cache
 def library(stem: Path, level: str) -> ctypes.CDLL | None:
-    """The library for an instruction set, if it was compiled and this machine has that."""
+    """Library for an instruction set; None if it was not compiled or this machine lacks the instructions."""
     file = stem.with_name(f"{stem.name}_{level}.so")
     if not file.exists():
         return None
@@ -112,14 +115,21 @@ def library(stem: Path, level: str) -> ctypes.CDLL | None:
 
 
 def register(library: ctypes.CDLL, handler: str, platform: str = "cpu", target: str | None = None) -> bool:
-    """Make a compiled handler known to XLA, by its own name or another; warns where it does not fit."""
+    """Whether XLA accepts a compiled handler as FFI target; warns if XLA refuses.
+
+    Args:
+        library: loaded library.
+        handler: name of the C++ symbol.
+        platform: XLA's name of the platform.
+        target: name of the FFI target; the handler's by default.
+    """
     try:
         capsule = jax.ffi.pycapsule(getattr(library, handler))
         jax.ffi.register_ffi_target(target or handler, capsule, platform=platform)
     except Exception as error:  # XLA's own types, which differ by version
         warnings.warn(
-            f"jaxscp: what was compiled at its installation does not fit this jaxlib, and is left out ({error}); "
-            "install jaxscp again to compile it anew",
+            f"jaxscp: the compiled C++ does not match this jaxlib and is not used ({error}); "
+            "install jaxscp again to compile it again",
             stacklevel=2,
         )
         return False

@@ -1,4 +1,4 @@
-"""How XLA compiles planners: for a CPU as quickly as it can, for a GPU so that it launches what it can by itself."""
+"""XLA compiler options: short compile time on a CPU, few launches on a GPU."""
 
 import functools
 from collections.abc import Callable
@@ -8,51 +8,51 @@ import jax
 import jax.numpy as jnp
 from jax.core import Tracer
 
-QUICKLY: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False}
-"""A planner is many small operations, and to emit them fused takes two fifths of the time to compile it for a CPU,
-without a plan being any faster. From jax 0.12 on there is no such choice."""
+CPU_OPTIONS: dict[str, Any] = {"xla_cpu_use_fusion_emitters": False}
+"""Fusion emitters take two fifths of a planner's compile time and make no plan faster. From jax 0.12 on, XLA has no
+such option."""
 
-AS_GRAPHS: dict[str, Any] = {
+GPU_OPTIONS: dict[str, Any] = {
     "xla_gpu_enable_command_buffer": (
         "FUSION,CUBLAS,CUBLASLT,CUSTOM_CALL,CUDNN,DYNAMIC_SLICE_FUSION,WHILE,CONDITIONAL"
     ),
     "xla_gpu_graph_min_graph_size": 1,
 }
-"""Loops too become graphs of a GPU, which launches them itself: of one plan, most of the time goes into launches."""
+"""Loops, too, become CUDA graphs: launches take most of a single plan's time."""
 
 
 @functools.cache
 def options() -> dict[str, Any]:
-    """``compiler_options`` for what JAX compiles; those alone that this version knows."""
-    wanted = {"cpu": QUICKLY, "gpu": AS_GRAPHS}.get(jax.default_backend(), {})
+    """``compiler_options`` of ``jax.jit`` for the default backend; empty if this version of XLA rejects them."""
+    candidates = {"cpu": CPU_OPTIONS, "gpu": GPU_OPTIONS}.get(jax.default_backend(), {})
     try:
-        jax.jit(lambda v: v, compiler_options=wanted).lower(jax.ShapeDtypeStruct((), float)).compile()
+        jax.jit(lambda v: v, compiler_options=candidates).lower(jax.ShapeDtypeStruct((), float)).compile()
     except Exception:  # XLA's own types, which differ by version
         return {}
-    return wanted
+    return candidates
 
 
 class jit_with_options:
-    """``jax.jit``, with these options where a call is compiled by itself and is not part of another program.
+    """``jax.jit`` with ``options()`` for calls at the top level; calls that are traced use plain ``jax.jit``.
 
     A decorator.
 
     Args:
-        function: of arrays; left as ``function``.
+        function: function of arrays; stored as the attribute ``function``.
         static_argnums: as for ``jax.jit``.
     """
 
     def __init__(self, function: Callable[..., Any], static_argnums: int) -> None:
         self.function = function
         self._static = static_argnums
-        self._part = jax.jit(function, static_argnums=static_argnums)
+        self._traced = jax.jit(function, static_argnums=static_argnums)
 
     def __call__(self, *args: Any) -> Any:
-        """Call the function."""
-        return (self._part if is_traced(args) else self._program)(*args)
+        """Result of the function."""
+        return (self._traced if is_traced(args) else self._compiled)(*args)
 
     @functools.cached_property
-    def _program(self) -> Callable[..., Any]:
+    def _compiled(self) -> Callable[..., Any]:
         return jax.jit(self.function, static_argnums=self._static, compiler_options=options())
 
 

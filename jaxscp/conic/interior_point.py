@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxscp.backends.libraries import choose
+from jaxscp.backends.libraries import dispatch
 from jaxscp.cones import product
 from jaxscp.cones.product import ConeVector
 from jaxscp.conic import kkt, native
@@ -117,7 +117,7 @@ class InteriorPoint(eqx.Module):
         given = _without_derivative((program, wanted, near))
         cpu = self.compiled and native.serves(program)
         cuda = self.compiled and native.serves_on_gpu(program)
-        return choose(
+        return dispatch(
             functools.partial(self._iterate_compiled, native.call) if cpu else None,
             self._iterate,
             *given,

@@ -1,16 +1,13 @@
-"""One pass through the intervals of a flight: what they give, its Jacobian, and the curvature of its priced sum.
+"""Runge-Kutta integration over intervals: outputs, their Jacobian, and the Hessian of their weighted sum.
 
-In the order in which they build on each other:
+In the order in which the files build on each other:
 
-    intervals.py  what a pass goes through, and what it finds
-    in_jax.py     the pass as JAX differentiates it
-    symbols.py    arithmetic on numbers that are not known yet
-    tracing.py    from a function of arrays to the operations on numbers that it is made of
-    tape.py       those operations in order, with a place for each number
-    functions.py  the tapes of a function and its derivatives
-    compiled.py   the pass in C++, which plays such tapes, for CPUs; native/ is the C++
-    played.py     the pass in JAX that plays them, for other devices
-    launch.py     kernels for NVIDIA GPUs, made of them, whatever they do; native/statements.py writes what is of a tape
-    kernel.py     the pass as such a kernel; native/source.py writes it
-    passes.py     which of these is taken
+    tableaus.py   Runge-Kutta methods
+    intervals.py  intervals, their data and their outputs
+    in_jax.py     integration in JAX, with its derivatives
+    rate_tape.py  the rate as a tape
+    in_cpp.py     integration in C++ for CPUs, which evaluates tapes; the C++ is in native/
+    in_tape.py    integration in JAX, which evaluates the rate's tape, for GPUs without a kernel
+    in_cuda.py    integration by one CUDA kernel; native/cuda_source.py writes its text
+    dispatch.py   choice of the implementation, with derivatives
 """

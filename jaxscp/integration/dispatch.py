@@ -1,8 +1,8 @@
-"""One pass through intervals: what they give, its Jacobian, and the curvature of its priced sum.
+"""Outputs of intervals, their Jacobian and the Hessian of their weighted sum, by the fastest implementation.
 
-Where all is arithmetic its operations are found first: C++ plays them on a CPU, if it was compiled. Where only the end
-is asked, those of the slopes are a kernel on an NVIDIA GPU, and on other devices JAX plays them. Derivatives of a pass
-are those of the pass in JAX.
+Functions that are arithmetic alone become tapes, which C++ evaluates on a CPU if the library was compiled. Without path
+outputs, the Jacobian comes from a kernel on an NVIDIA GPU, and from the tape in JAX on other devices. JAX
+differentiates its own implementation in place of these functions.
 """
 
 import contextlib
@@ -13,95 +13,98 @@ import equinox as eqx
 import jax
 from jaxtyping import Array, Float
 
-from jaxscp.backends import cuda
+from jaxscp.backends import cuda, libraries
 from jaxscp.backends.codegen import launch, tracing
-from jaxscp.backends.libraries import choose
 from jaxscp.integration import in_cpp, in_cuda, in_jax, in_tape
 from jaxscp.integration.intervals import IntervalData, IntervalOutputs, Intervals
 
 
-def outcomes(
-    intervals: Intervals, w: Float[Array, "intervals inputs"], given: IntervalData
+def evaluate(
+    intervals: Intervals, w: Float[Array, "intervals inputs"], data: IntervalData
 ) -> IntervalOutputs:
-    """What every interval gives."""
-    return _outcomes(intervals, w, given)
+    """Outputs of every interval."""
+    return _evaluate(intervals, w, data)
 
 
-def linear(
-    intervals: Intervals, w: Float[Array, "intervals inputs"], given: IntervalData
+def linearise(
+    intervals: Intervals, w: Float[Array, "intervals inputs"], data: IntervalData
 ) -> tuple[IntervalOutputs, IntervalOutputs]:
-    """That, and its Jacobian."""
-    return _linear(intervals, w, given)
+    """Outputs of every interval and their Jacobian in w."""
+    return _linearise(intervals, w, data)
 
 
-def curved(
-    intervals: Intervals, w: Float[Array, "intervals inputs"], given: IntervalData, prices: IntervalOutputs
+def linearise_with_hessian(
+    intervals: Intervals,
+    w: Float[Array, "intervals inputs"],
+    data: IntervalData,
+    multipliers: IntervalOutputs,
 ) -> tuple[IntervalOutputs, IntervalOutputs, Float[Array, "intervals inputs inputs"]]:
-    """Those, and the second derivatives of the sum of all that is given times its price."""
-    return _curved(intervals, w, given, prices)
+    """Outputs of every interval, their Jacobian, and the Hessian in w of their sum weighted by the multipliers."""
+    return _linearise_with_hessian(intervals, w, data, multipliers)
 
 
 @eqx.filter_custom_jvp
-def _outcomes(intervals: Intervals, w: Array, given: IntervalData) -> IntervalOutputs:
-    cpu = _in_cpp(intervals, w, given, order=0)
-    (found,) = choose(cpu, lambda w, given: (in_jax.outcomes(intervals, w, given),), w, given)
+def _evaluate(intervals: Intervals, w: Array, data: IntervalData) -> IntervalOutputs:
+    cpu = _in_cpp(intervals, w, data, order=0)
+    (found,) = libraries.dispatch(cpu, lambda w, data: (in_jax.evaluate(intervals, w, data),), w, data)
     return found
 
 
-@_outcomes.def_jvp
+@_evaluate.def_jvp
 def _(primals, tangents):
-    return eqx.filter_jvp(in_jax.outcomes, primals, tangents)
+    return eqx.filter_jvp(in_jax.evaluate, primals, tangents)
 
 
 @eqx.filter_custom_jvp
-def _linear(intervals: Intervals, w: Array, given: IntervalData) -> tuple[IntervalOutputs, IntervalOutputs]:
-    on_gpu = _by_kernel(intervals, w)
+def _linearise(intervals: Intervals, w: Array, data: IntervalData) -> tuple[IntervalOutputs, IntervalOutputs]:
+    on_gpu = _in_cuda(intervals, w)
 
-    def elsewhere(w, given):
-        # what a kernel does on this process's device is not traced again in full
-        if on_gpu is None and jax.default_backend() != "cpu" and intervals.watch.nothing:
+    def default(w, data):
+        # where a kernel runs, this is a fallback for other devices: recording a tape for it would cost time
+        if on_gpu is None and jax.default_backend() != "cpu" and intervals.path_outputs.empty:
             with contextlib.suppress(tracing.CannotTrace):
-                return in_tape.linear(intervals, w)
-        return in_jax.linear(intervals, w, given)
+                return in_tape.linearise(intervals, w)
+        return in_jax.linearise(intervals, w, data)
 
-    return choose(_in_cpp(intervals, w, given, order=1), elsewhere, w, given, cuda=on_gpu)
+    return libraries.dispatch(_in_cpp(intervals, w, data, order=1), default, w, data, cuda=on_gpu)
 
 
-@_linear.def_jvp
+@_linearise.def_jvp
 def _(primals, tangents):
-    return eqx.filter_jvp(in_jax.linear, primals, tangents)
+    return eqx.filter_jvp(in_jax.linearise, primals, tangents)
 
 
 @eqx.filter_custom_jvp
-def _curved(intervals: Intervals, w: Array, given: IntervalData, prices: IntervalOutputs):
-    cpu = _in_cpp(intervals, w, given, order=2)
-    return choose(cpu, lambda *args: in_jax.curved(intervals, *args), w, given, prices)
+def _linearise_with_hessian(intervals: Intervals, w: Array, data: IntervalData, multipliers: IntervalOutputs):
+    cpu = _in_cpp(intervals, w, data, order=2)
+    default = lambda *args: in_jax.linearise_with_hessian(intervals, *args)  # noqa: E731
+    return libraries.dispatch(cpu, default, w, data, multipliers)
 
 
-@_curved.def_jvp
+@_linearise_with_hessian.def_jvp
 def _(primals, tangents):
-    return eqx.filter_jvp(in_jax.curved, primals, tangents)
+    return eqx.filter_jvp(in_jax.linearise_with_hessian, primals, tangents)
 
 
-def _in_cpp(intervals: Intervals, w: Array, given: IntervalData, order: int) -> Callable[..., Any] | None:
-    """The pass in C++ as a function of (w, given, prices); None where it cannot be."""
-    if not in_cpp.serves(w):
+def _in_cpp(intervals: Intervals, w: Array, data: IntervalData, order: int) -> Callable[..., Any] | None:
+    """Integration in C++ as a function of (w, data, multipliers); None if C++ does not support these intervals."""
+    if not in_cpp.supports(w):
         return None
     try:
-        found = in_cpp.record(intervals, w.shape[-1], given, order)
+        tapes = in_cpp.record(intervals, w.shape[-1], data, order)
     except tracing.CannotTrace:
         return None
-    return lambda w, given, prices=None: in_cpp.sweep(intervals, found, w, given, prices, order)
+    return lambda w, data, multipliers=None: in_cpp.integrate(intervals, tapes, w, data, multipliers, order)
 
 
-def _by_kernel(intervals: Intervals, w: Array) -> Callable[..., Any] | None:
-    """The pass and its Jacobian by a kernel, as a function of (w, given); None where there is none."""
+def _in_cuda(intervals: Intervals, w: Array) -> Callable[..., Any] | None:
+    """Outputs and Jacobian by a kernel, as a function of (w, data); None if there is no kernel."""
     capability = cuda.capability()
-    if capability is None or not in_cuda.serves(intervals, w):
+    if capability is None or not in_cuda.supports(intervals, w):
         return None
     try:
-        found = in_cuda.record(intervals, w.shape[-1])
+        kernel = in_cuda.record(intervals, w.shape[-1])
     except tracing.CannotTrace:
         return None
-    image = launch.image(found.text, capability, "the sweep")
-    return None if image is None else lambda w, _: in_cuda.sweep(intervals, found, image, w)
+    cubin = launch.cubin(kernel.text, capability, "the integration")
+    return None if cubin is None else lambda w, _: in_cuda.linearise(intervals, kernel, cubin, w)

@@ -1,7 +1,7 @@
-"""The pass as one kernel of an NVIDIA GPU, for float64 and intervals of which only the end is asked.
+"""Integration by one CUDA kernel, for float64 and intervals without path outputs.
 
-As JAX plays a tape, every stage of every step is several kernels that read and write all tangents. Here they stay with
-the threads from an interval's begin to its end.
+In JAX, every stage of every step is several kernels that read and write all tangents. In one kernel, tangents stay in
+registers from an interval's begin to its end.
 """
 
 from typing import NamedTuple
@@ -13,45 +13,50 @@ from jaxscp.backends import libraries
 from jaxscp.backends.codegen import launch
 from jaxscp.integration.intervals import IntervalOutputs, Intervals
 from jaxscp.integration.native import cuda_source
-from jaxscp.integration.rate_tape import record_slopes
+from jaxscp.integration.rate_tape import record_rate
 
-COLUMNS = 2  # of the tangent, that a thread carries
+COLUMNS = 2  # columns of the tangent in a thread's registers
 
 
 class Kernel(NamedTuple):
-    """One, and what it is told."""
+    """A kernel's text and launch parameters."""
 
     text: str
-    groups: int
+    group_size: int
     """Threads of an interval."""
-    known: Float[Array, "numbers"]
-    """What depends on no interval's variables, and is read there."""
+    hoisted: Float[Array, "hoisted"]
+    """Constants that depend on no interval's variables."""
 
 
-def serves(intervals: Intervals, w: Array) -> bool:
-    """Whether there may be a kernel for these intervals, on the GPU that is JAX's default device."""
-    return libraries.in_float64(w) and launch.available() and intervals.watch.nothing
+def supports(intervals: Intervals, w: Array) -> bool:
+    """Whether a kernel can integrate these intervals on the GPU that is JAX's default device."""
+    return libraries.in_float64(w) and launch.available() and intervals.path_outputs.empty
 
 
 def record(intervals: Intervals, inputs: int, columns: int = COLUMNS) -> Kernel:
-    """The kernel for intervals of so many inputs, of which a thread has so many columns.
+    """Kernel for intervals of one shape.
+
+    Args:
+        intervals: the integration.
+        inputs: size of w.
+        columns: columns of the tangent in a thread's registers.
 
     Raises:
-        CannotTrace: if the slopes are not arithmetic alone.
+        CannotTrace: if the rate is not arithmetic alone.
     """
-    slopes = record_slopes(intervals, inputs, order=1)
-    text = cuda_source.kernel(slopes, intervals.states, intervals.method, intervals.steps, columns)
-    return Kernel(text, cuda_source.groups(inputs, columns), launch.known_of(slopes))
+    rate = record_rate(intervals, inputs, order=1)
+    text = cuda_source.kernel(rate, intervals.states, intervals.method, intervals.steps, columns)
+    return Kernel(text, cuda_source.group_size(inputs, columns), launch.hoisted_constants(rate))
 
 
-def sweep(
-    intervals: Intervals, kernel: Kernel, machine_code: bytes, w: Float[Array, "intervals inputs"]
+def linearise(
+    intervals: Intervals, kernel: Kernel, cubin: bytes, w: Float[Array, "intervals inputs"]
 ) -> tuple[IntervalOutputs, IntervalOutputs]:
-    """The outcomes and their Jacobian, by a kernel for these intervals."""
+    """Outputs and their Jacobian, by a kernel for these intervals."""
     count, inputs = w.shape
     n = intervals.states
     shapes = (count, n + 1), (count, n + 1, inputs)
-    end, jacobian = launch.call(machine_code, w, kernel.known, shapes, kernel.groups, cuda_source.THREADS)
+    end, jacobian = launch.call(cubin, w, kernel.hoisted, shapes, kernel.group_size, cuda_source.THREADS)
     return (
         IntervalOutputs(end[:, :n], end[:, n], (), jnp.zeros((count, 0))),
         IntervalOutputs(jacobian[:, :n], jacobian[:, n], (), jnp.zeros((count, 0, inputs))),

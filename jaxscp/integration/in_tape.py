@@ -1,70 +1,52 @@
-"""The pass in JAX by a tape: every number is an array over the intervals, every tangent one over the inputs too.
+"""Integration in JAX, which evaluates the rate's tape; for GPUs without a kernel.
 
-What is elementwise a compiler fuses: of a step it makes a few kernels, where derivatives of the rate by JAX are
-hundreds of operations on small arrays, most of whose entries are zero. This is the way of GPUs for which there is no
-kernel.
+Every number is an array over the intervals, every tangent an array over inputs and intervals. XLA fuses these
+operations into a few kernels a step. JAX's derivatives of the rate would be hundreds of small, mostly zero arrays.
 """
+
+from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxscp.backends.codegen.evaluate_tape import play
+from jaxscp.backends.codegen.evaluate_tape import evaluate
+from jaxscp.backends.codegen.functions import TapedFunction
 from jaxscp.integration.intervals import IntervalOutputs, Intervals
-from jaxscp.integration.rate_tape import record_slopes
+from jaxscp.integration.rate_tape import record_rate
+
+Rows = Sequence[Array]
 
 
-def linear(
+def linearise(
     intervals: Intervals, w: Float[Array, "intervals inputs"]
 ) -> tuple[IntervalOutputs, IntervalOutputs]:
-    """Outcomes and Jacobians of intervals whose points nothing is asked of.
+    """Outputs and Jacobians of intervals without path outputs.
 
     Raises:
-        CannotTrace: if the slopes are not arithmetic alone.
+        CannotTrace: if the rate is not arithmetic alone.
     """
-    n, inputs = intervals.states, w.shape[1]
-    m, size = intervals.controls(inputs), 1.0 / intervals.steps
-    slopes = record_slopes(intervals, inputs, order=1)
-    method = intervals.method
-    columns = w.T
-    directions = jnp.eye(inputs, dtype=w.dtype)[:, :, None]
-
-    def after(rows, weights, ways):
-        """Rows after slopes of these weights."""
-        found = []
-        for r, row in enumerate(rows):
-            for weight, way in zip(weights, ways, strict=False):
-                row = row + (size * weight) * way[r] if weight else row
-            found.append(row)
-        return found
-
-    def stage(share, state, tangent):
-        """Slopes, and their tangents."""
-        controls = [columns[n + k] + share * (columns[n + m + k] - columns[n + k]) for k in range(m)]
-        pulled = [(1.0 - share) * directions[n + k] + share * directions[n + m + k] for k in range(m)]
-        free_of_charge = [jnp.zeros_like(columns[0])] * (n + 1)
-        outputs = play(slopes.first, [*state[:n], *controls, *free_of_charge], slopes.parameters[0])
-        moved = [*tangent[:n], *pulled]
-        pushed = [jnp.zeros_like(row) for row in tangent]
-        for (r, k), entry in zip(slopes.jacobian.tolist(), outputs[n + 1 :], strict=True):
-            pushed[r] = pushed[r] + entry * moved[k]
-        return outputs[: n + 1], pushed
+    n, inputs, method = intervals.states, w.shape[1], intervals.method
+    size = 1.0 / intervals.steps
+    columns, directions = w.T, jnp.eye(inputs, dtype=w.dtype)[:, :, None]
+    rate = _Rate(intervals, columns, directions)
 
     def forward(step, carry):
         state, tangent = carry
-        ways, pushed = [], []
-        for share, weights in zip(method.shares.tolist(), method.table.tolist(), strict=True):
-            at = size * (jnp.asarray(step, w.dtype) + share)
-            found = stage(at, after(state, weights, ways), after(tangent, weights, pushed))
-            ways.append(found[0])
-            pushed.append(found[1])
-        weights = method.weights.tolist()
-        return after(state, weights, ways), after(tangent, weights, pushed)
+        slopes, slope_tangents = [], []
+        for c, row in zip(method.c.tolist(), method.a.tolist(), strict=True):
+            fraction = size * (jnp.asarray(step, w.dtype) + c)
+            stage_state = _advance(state, size, row, slopes)
+            slope, slope_tangent = rate(fraction, stage_state, _advance(tangent, size, row, slope_tangents))
+            slopes.append(slope)
+            slope_tangents.append(slope_tangent)
+        b = method.b.tolist()
+        return _advance(state, size, b, slopes), _advance(tangent, size, b, slope_tangents)
 
-    like = jnp.zeros((inputs, w.shape[0]), w.dtype)
-    start = [*columns[:n], jnp.zeros_like(columns[0])], [like + directions[r] for r in range(n)] + [like]
+    zeros = jnp.zeros((inputs, w.shape[0]), w.dtype)
+    start = [*columns[:n], jnp.zeros_like(columns[0])], [zeros + directions[r] for r in range(n)] + [zeros]
     path, tangents = jax.lax.fori_loop(0, intervals.steps, forward, start)
-    # what reads of it is not to put it together from its rows anew
+    # without the barrier, XLA stacks the rows again in every kernel that reads the result
     end, jacobian = jax.lax.optimization_barrier(
         (jnp.stack(path, -1), jnp.transpose(jnp.stack(tangents), (2, 0, 1)))
     )
@@ -73,3 +55,38 @@ def linear(
         IntervalOutputs(end[:, :n], end[:, n], none, jnp.zeros((count, 0))),
         IntervalOutputs(jacobian[:, :n], jacobian[:, n], none, jnp.zeros((count, 0, inputs))),
     )
+
+
+class _Rate:
+    """The rate and its tangents, by rows."""
+
+    def __init__(self, intervals: Intervals, columns: Array, directions: Array) -> None:
+        self.n, self.m = intervals.states, intervals.controls(columns.shape[0])
+        self.columns, self.directions = columns, directions
+        self.tapes: TapedFunction = record_rate(intervals, columns.shape[0], order=1)
+
+    def __call__(self, fraction: Array, state: Rows, tangent: Rows) -> tuple[Rows, Rows]:
+        """Slopes at a fraction of the interval, and their tangents."""
+        n, m, columns, directions = self.n, self.m, self.columns, self.directions
+        controls = [columns[n + k] + fraction * (columns[n + m + k] - columns[n + k]) for k in range(m)]
+        control_tangents = [
+            (1.0 - fraction) * directions[n + k] + fraction * directions[n + m + k] for k in range(m)
+        ]
+        no_multipliers = [jnp.zeros_like(columns[0])] * (n + 1)
+        inputs = [*state[:n], *controls, *no_multipliers]
+        outputs = evaluate(self.tapes.first, inputs, self.tapes.parameters[0])
+        argument_tangents = [*tangent[:n], *control_tangents]
+        slope_tangents = [jnp.zeros_like(row) for row in tangent]
+        for (r, k), entry in zip(self.tapes.jacobian.tolist(), outputs[n + 1 :], strict=True):
+            slope_tangents[r] = slope_tangents[r] + entry * argument_tangents[k]
+        return outputs[: n + 1], slope_tangents
+
+
+def _advance(rows: Rows, size: float, weights: Sequence[float], slopes: Sequence[Rows]) -> Rows:
+    """x + h sum_j weights_j k_j, row by row."""
+    found = []
+    for r, row in enumerate(rows):
+        for weight, slope in zip(weights, slopes, strict=False):
+            row = row + (size * weight) * slope[r] if weight else row
+        found.append(row)
+    return found

@@ -1,14 +1,19 @@
-"""The rate of intervals as tapes."""
+"""The right-hand side of intervals as tapes."""
 
-from jaxscp.backends.codegen.functions import Function, record
+from jaxscp.backends.codegen.functions import TapedFunction, record
 from jaxscp.integration.intervals import Intervals
 
 
-def record_slopes(intervals: Intervals, inputs: int, order: int) -> Function:
-    """The rate of intervals of so many inputs, as a function of a state and its controls.
+def record_rate(intervals: Intervals, inputs: int, order: int) -> TapedFunction:
+    """Tapes of the rate, a function of the state and the controls, side by side.
+
+    Args:
+        intervals: the integration.
+        inputs: size of w.
+        order: highest derivative.
 
     Raises:
-        CannotTrace: if it is not arithmetic alone.
+        CannotTrace: if the rate is not arithmetic alone.
     """
     n = intervals.states
     return record(lambda a: intervals.rate(a[:n], a[n:]), n + intervals.controls(inputs), (), order)

@@ -1,4 +1,4 @@
-"""Explicit Runge-Kutta methods of fixed step, as their tables."""
+"""Explicit Runge-Kutta methods of fixed step, given by their Butcher tableaus."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,19 +11,22 @@ from jaxtyping import Array, Float
 
 @dataclass(frozen=True, eq=False)
 class Method:
-    """A method's table (Butcher)."""
+    """Butcher tableau of an explicit method, with s stages.
 
-    shares: np.ndarray
-    """(stages,), of the step at which slopes are taken."""
-    weights: np.ndarray
-    """(stages,), of the slopes in the step."""
-    table: np.ndarray
-    """(stages, stages): a row has the weights of the slopes that lead to its stage."""
+    With step size h, the slopes are k_i = f(t + c_i h, x + h sum_j a_ij k_j). The step ends at x + h sum_i b_i k_i.
+    """
+
+    c: np.ndarray
+    """(stages,): nodes, as fractions of the step."""
+    b: np.ndarray
+    """(stages,): weights of the slopes k in the step."""
+    a: np.ndarray
+    """(stages, stages): row i holds the weights of the slopes that lead to stage i."""
 
     @property
     def stages(self) -> int:
-        """Slopes of a step."""
-        return len(self.shares)
+        """Number of stages."""
+        return len(self.c)
 
 
 CLASSICAL = Method(
@@ -31,7 +34,7 @@ CLASSICAL = Method(
     np.array([1 / 6, 1 / 3, 1 / 3, 1 / 6]),
     np.array([[0, 0, 0, 0], [1 / 2, 0, 0, 0], [0, 1 / 2, 0, 0], [0, 0, 1, 0]]),
 )
-"""Fourth order in four stages."""
+"""RK4: fourth order in four stages."""
 
 SIXTH_ORDER = Method(
     np.array([0, 1 / 3, 2 / 3, 1 / 3, 1 / 2, 1 / 2, 1]),
@@ -48,8 +51,8 @@ SIXTH_ORDER = Method(
         ]
     ),
 )
-"""Butcher, "On Runge-Kutta processes of high order" (1964): sixth order in seven stages. Ten steps of fourth order
-evaluate more than five of these, and err more."""
+"""Sixth order in seven stages (Butcher, "On Runge-Kutta processes of high order", 1964). Ten steps of fourth order
+cost more evaluations than five of these, and have a larger error."""
 
 
 def integrate(
@@ -57,9 +60,17 @@ def integrate(
     rate: Callable[..., Array],
     state: Float[Array, "states"],
     steps: int,
-    push: Float[Array, "steps stages states"] | None = None,
+    perturbation: Float[Array, "steps stages states"] | None = None,
 ) -> Float[Array, "steps states"]:
-    """The states after each of so many steps through a unit of the independent variable; see ``step``."""
+    """States after each of so many equal steps over a unit of the independent variable.
+
+    Args:
+        method: Butcher tableau.
+        rate: right-hand side f(t, x), t from 0 to 1.
+        state: initial state.
+        steps: number of steps.
+        perturbation: added to the slopes k; of use for derivatives.
+    """
     size = 1.0 / steps
 
     def forward(state, at):
@@ -67,43 +78,38 @@ def integrate(
         return state, state
 
     begins = size * jnp.arange(steps, dtype=state.dtype)
-    return jax.lax.scan(forward, state, (begins, push))[1]
+    return jax.lax.scan(forward, state, (begins, perturbation))[1]
 
 
 def step(
     method: Method,
     rate: Callable[..., Array],
-    share: Array,
+    begin: Array,
     state: Float[Array, "states"],
     size: float,
-    push: Float[Array, "stages states"] | None = None,
+    perturbation: Float[Array, "stages states"] | None = None,
 ) -> tuple[Float[Array, "states"], Float[Array, "stages states"]]:
-    """One step.
+    """State after one step, and the states at its stages.
 
-    The stages are a loop, so that derivatives of the dynamics are traced and compiled once.
+    The stages are a loop, so that derivatives of the rate are traced and compiled once.
 
     Args:
-        method: by which.
-        rate: (share, state) -> slope.
-        share: where the step begins.
-        state: there.
-        size: of the step.
-        push: added to the slopes; of use for derivatives.
-
-    Returns:
-        The state after the step, and the states that the slopes are taken at.
+        method: Butcher tableau.
+        rate: right-hand side f(t, x).
+        begin: t at the step's begin.
+        state: x at the step's begin.
+        size: step size h.
+        perturbation: added to the slopes k; of use for derivatives.
     """
 
     def stage(slopes, at):
-        index, node, row, push = at
-        moved = state + size * jnp.sum(row[:, None] * slopes, axis=0)
-        slope = rate(share + size * node, moved)
-        slope = slope if push is None else slope + push
-        return jax.lax.dynamic_update_index_in_dim(slopes, slope, index, 0), moved
+        index, c, row, perturbation = at
+        stage_state = state + size * jnp.sum(row[:, None] * slopes, axis=0)
+        slope = rate(begin + size * c, stage_state)
+        slope = slope if perturbation is None else slope + perturbation
+        return jax.lax.dynamic_update_index_in_dim(slopes, slope, index, 0), stage_state
 
-    shares, weights, rows = (
-        jnp.asarray(t, state.dtype) for t in (method.shares, method.weights, method.table)
-    )
-    begin = jnp.zeros((method.stages, state.shape[0]), state.dtype)
-    slopes, moved = jax.lax.scan(stage, begin, (jnp.arange(method.stages), shares, rows, push))
-    return state + size * jnp.sum(weights[:, None] * slopes, axis=0), moved
+    c, b, a = (jnp.asarray(t, state.dtype) for t in (method.c, method.b, method.a))
+    zeros = jnp.zeros((method.stages, state.shape[0]), state.dtype)
+    slopes, stage_states = jax.lax.scan(stage, zeros, (jnp.arange(method.stages), c, a, perturbation))
+    return state + size * jnp.sum(b[:, None] * slopes, axis=0), stage_states

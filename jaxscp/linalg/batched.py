@@ -1,8 +1,7 @@
-"""Small dense algebra at every place of a chain at once.
+"""Batched products and Cholesky factors of small dense matrices, one at every location k of a chain.
 
-Products with vectors are written as sums, not as dots: they then fuse with their neighbours, where a batched dot is a
-call of its own that costs more than its arithmetic at these sizes. Triangular factors are inverted once for the
-same reason: each later solve is a product.
+Products with vectors are sums, which XLA fuses with their neighbours. A batched dot is a call of its own, which costs
+more than the arithmetic at these sizes. Triangular factors are inverted once, so that each later solve is a product.
 """
 
 import jax
@@ -12,7 +11,7 @@ from jaxtyping import Array, Float
 
 
 def times(matrix: Float[Array, "chain ... columns"], vector: Float[Array, "chain columns"]) -> jax.Array:
-    """A_k v_k: the last axis is summed, and those between kept."""
+    """A_k v_k, summed over the last axis."""
     between = (1,) * (matrix.ndim - 2)
     return jnp.sum(matrix * vector.reshape(vector.shape[0], *between, vector.shape[1]), axis=-1)
 
@@ -20,7 +19,7 @@ def times(matrix: Float[Array, "chain ... columns"], vector: Float[Array, "chain
 def transpose_times(
     matrix: Float[Array, "chain ... columns"], vector: Float[Array, "chain ..."]
 ) -> jax.Array:
-    """A_k' v_k: all axes between the first and the last are summed."""
+    """A_k' v_k, summed over all axes between the first and the last."""
     return jnp.sum(matrix * vector[..., None], axis=tuple(range(1, vector.ndim)))
 
 

@@ -1,8 +1,8 @@
 """Cholesky factorisation of a symmetric positive definite block tridiagonal matrix, by cyclic reduction.
 
-Every second block is eliminated at once, which leaves a chain of half the length; so that n blocks take log2 n
-batched rounds in place of n small steps one after another. It is Cholesky's method in an order of nested
-dissection (George, "Nested dissection of a regular finite element mesh", 1973), and as stable.
+Each round eliminates every second block and leaves a chain of half the length: n blocks take log2 n batched rounds in
+place of n small steps. The order is a nested dissection (George, "Nested dissection of a regular finite element mesh",
+1973). The method is as stable as any Cholesky factorisation.
 """
 
 import equinox as eqx
@@ -13,27 +13,33 @@ from jaxscp.linalg.batched import gram, inverse_factor, times, times_transposed,
 
 
 class Round(eqx.Module):
-    """One round: the odd blocks, D_j = L_j L_j', and what ties each to its even neighbours."""
+    """Factor of one round: the odd blocks D_j = L_j L_j', and their coupling S to even neighbours."""
 
     inverse: Float[Array, "odd size size"]
     """L_j^-1."""
     left: Float[Array, "odd size size"]
     """L_j^-1 S_{j,j-1}."""
     right: Float[Array, "odd size size"]
-    """L_j^-1 S_{j,j+1}; zero where no block follows."""
+    """L_j^-1 S_{j,j+1}; zero for the last block."""
 
 
 class BlockCholesky(eqx.Module):
-    """The factor of S: its rounds, and L^-1 of the one block that is left."""
+    """Cholesky factor of S, round by round."""
 
     rounds: tuple[Round, ...]
     last: Float[Array, "1 size size"]
+    """L^-1 of the remaining block."""
 
 
 def factor(
     diagonal: Float[Array, "blocks size size"], above: Float[Array, "blocks size size"]
 ) -> BlockCholesky:
-    """Factor S from its diagonal blocks and the blocks just right of them (the last of which is zero)."""
+    """Factor of S.
+
+    Args:
+        diagonal: diagonal blocks.
+        above: blocks right of the diagonal ones; the last is zero.
+    """
     rounds = []
     while (blocks := diagonal.shape[0]) > 1:
         even, odd = blocks - blocks // 2, blocks // 2
@@ -47,14 +53,12 @@ def factor(
 
 
 def solve(cholesky: BlockCholesky, right: Float[Array, "blocks size"]) -> Float[Array, "blocks size"]:
-    """Solve S y = right: reduce to one block, and substitute back."""
+    """Solution y of S y = right: reduction to one block, and back substitution."""
     eliminated = []
     for r in cholesky.rounds:
         y = times(r.inverse, right[1::2])
-        owed = _onto_even(
-            transpose_times(r.left, y), transpose_times(r.right, y), right.shape[0] - y.shape[0]
-        )
-        right = right[::2] - owed
+        even = right.shape[0] - y.shape[0]
+        right = right[::2] - _onto_even(transpose_times(r.left, y), transpose_times(r.right, y), even)
         eliminated.append(y)
     x = transpose_times(cholesky.last, times(cholesky.last, right))
     for r, y in zip(reversed(cholesky.rounds), reversed(eliminated), strict=True):
@@ -65,13 +69,13 @@ def solve(cholesky: BlockCholesky, right: Float[Array, "blocks size"]) -> Float[
 
 
 def _onto_even(from_left: Array, from_right: Array, even: int) -> Array:
-    """Sum what each odd block gives to the even blocks left and right of it."""
-    nothing = jnp.zeros_like(from_right[:1])
-    return _fit(from_left, even) + _fit(jnp.concatenate([nothing, from_right]), even)
+    """Sum, at every even block, of the terms from the odd blocks on both sides."""
+    zero = jnp.zeros_like(from_right[:1])
+    return _fit(from_left, even) + _fit(jnp.concatenate([zero, from_right]), even)
 
 
 def _fit(blocks: Array, count: int) -> Array:
-    """The first blocks, or all and zeros after them."""
+    """The first ``count`` blocks, padded with zeros if there are fewer."""
     missing = max(count - blocks.shape[0], 0)
     return jnp.pad(blocks[:count], [(0, missing)] + [(0, 0)] * (blocks.ndim - 1))
 

@@ -96,9 +96,9 @@ def eliminate_inequalities(
     if not parts[False]:
         count, inputs = problem.nodes - 1, interval_inputs(problem, nodes.matrix[:, 0]).shape[1]
         blank = jnp.zeros((count, inputs, inputs), nodes.matrix.dtype)
-        return EliminatedInequalities(blank, nodes.matrix, tuple(jnp.moveaxis(nodes.sides, 1, 0)))
+        return EliminatedInequalities(blank, nodes.matrix, tuple(jnp.moveaxis(nodes.products, 1, 0)))
     intervals = gram(tuple(parts[False]))
-    pairs = zip(jnp.moveaxis(intervals.sides, 1, 0), jnp.moveaxis(nodes.sides, 1, 0), strict=True)
+    pairs = zip(jnp.moveaxis(intervals.products, 1, 0), jnp.moveaxis(nodes.products, 1, 0), strict=True)
     products = tuple(sum_onto_nodes(problem, i) + n for i, n in pairs)
     return EliminatedInequalities(intervals.matrix, nodes.matrix, products)
 

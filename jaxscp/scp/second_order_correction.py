@@ -101,7 +101,7 @@ def corrected(
             # No term for the dilation: its limits are linear, so that the candidate satisfies them.
             nodes=-by.penalty * sum_onto_nodes(problem, by.active.penalty_gradient(slack)),
             flow=(z[1:, :n] - out.end) / by.scale[:n],
-            initial=jnp.zeros(by.factor.chain.initial.shape[0], z.dtype),
+            initial=jnp.zeros(by.factor.problem.initial.shape[0], z.dtype),
             final=-end_condition(problem, z[-1, :n]),
         )
         z += by.scale * riccati.solve(by.factor, right).nodes

@@ -46,7 +46,7 @@ def discretise(
     """
     w = interval_inputs(problem, z)
     intervals = Intervals(problem.slope, problem.state_size, METHOD, substeps, substeps)
-    found, jacobian = dispatch.linear(intervals, w, without_data(intervals, w.shape[0]))
+    found, jacobian = dispatch.linearise(intervals, w, without_data(intervals, w.shape[0]))
     return Discretisation(found.end, found.cost, jacobian.end, jacobian.cost)
 
 

@@ -75,7 +75,7 @@ class Linearisation(eqx.Module):
 def evaluate(problem: OptimalControlProblem, z: Float[Array, "nodes variables"], grid: Grid) -> Outputs:
     """Outputs of every interval."""
     data = interval_data(problem, grid)
-    found = dispatch.outcomes(intervals_of(problem, grid), interval_inputs(problem, z), data)
+    found = dispatch.evaluate(intervals_of(problem, grid), interval_inputs(problem, z), data)
     return by_constraint(problem, found)
 
 
@@ -85,7 +85,7 @@ def linearise(
 ) -> Linearisation:
     """Outputs of every interval and their Jacobians."""
     data = interval_data(problem, grid)
-    found = dispatch.linear(intervals_of(problem, grid), interval_inputs(problem, z), data)
+    found = dispatch.linearise(intervals_of(problem, grid), interval_inputs(problem, z), data)
     return _linearisation(problem, z, *found)
 
 
@@ -104,7 +104,9 @@ def linearise_with_hessian(
     )
     weights = interval_weights(problem, Outputs(y.flow, jnp.ones(problem.nodes - 1, z.dtype), values))
     intervals, w = intervals_of(problem, grid), interval_inputs(problem, z)
-    found, jacobian, hessian = dispatch.curved(intervals, w, interval_data(problem, grid), weights)
+    found, jacobian, hessian = dispatch.linearise_with_hessian(
+        intervals, w, interval_data(problem, grid), weights
+    )
     return _linearisation(problem, z, found, jacobian), hessian
 
 
@@ -126,7 +128,7 @@ def intervals_of(problem: OptimalControlProblem, grid: Grid) -> Intervals:
         for c, rows in zip(problem.constraints, _rows(problem), strict=True)
         if c.where.throughout
     )
-    outputs = PathOutputs(functions.at_point, functions.of_ends, groups)
+    outputs = PathOutputs(functions.at_point, functions.at_ends, groups)
     return Intervals(problem.slope, problem.state_size, METHOD, grid.all_steps, grid.steps, outputs)
 
 
@@ -181,7 +183,7 @@ class _ConstraintValues(eqx.Module):
         ]
         return jnp.concatenate([jnp.zeros(0, state.dtype), *values])
 
-    def of_ends(self, w, parameters) -> Float[Array, "rows"]:
+    def at_ends(self, w, parameters) -> Float[Array, "rows"]:
         """Values of the others: at the first node, or on the controls at both ends."""
         state, first, last = jnp.split(w, [self.problem.state_size, self.problem.variables])
         at = *self.problem.split_state(state), 1.0 / (self.problem.nodes - 1)

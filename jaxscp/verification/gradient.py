@@ -25,6 +25,6 @@ def integrated_outputs(
 ) -> Outputs:
     """The outputs of ``shooting.evaluate``, by one eighth-order step of every subinterval."""
     ours = intervals_of(problem, grid)
-    theirs = Intervals(ours.rate, ours.states, eighth_order(), grid.subintervals, 1, ours.watch)
-    outputs = in_jax.outcomes(theirs, interval_inputs(problem, z), interval_data(problem, grid))
+    theirs = Intervals(ours.rate, ours.states, eighth_order(), grid.subintervals, 1, ours.path_outputs)
+    outputs = in_jax.evaluate(theirs, interval_inputs(problem, z), interval_data(problem, grid))
     return by_constraint(problem, outputs)

@@ -1,4 +1,4 @@
-"""Programs that are compiled quickly where they stand alone, and as part of others where they do not."""
+"""Compiler options: results do not change, and unknown options are left out."""
 
 import jax
 import jax.numpy as jnp
@@ -15,22 +15,23 @@ def power(exponent, v):
 
 
 @pytest.fixture
-def quick():
+def compiled():
     return xla.jit_with_options(power, static_argnums=0)
 
 
-def test_is_the_function_wherever_it_is_called(quick):
+def test_results_are_those_of_the_function_at_top_level_and_traced(compiled):
     v = jnp.linspace(0.0, 1.0, 7)
-    np.testing.assert_allclose(quick(3, v), power(3, v), rtol=ROUNDING)
-    np.testing.assert_allclose(jax.jit(lambda v: quick(2, v))(v), power(2, v), rtol=ROUNDING)
-    np.testing.assert_allclose(jax.jit(lambda: quick(2, np.ones(3)))(), power(2, jnp.ones(3)), rtol=ROUNDING)
-    lanes = jax.vmap(lambda v: quick(2, v))(jnp.stack([v, 2.0 * v]))
-    np.testing.assert_allclose(lanes, [power(2, v), power(2, 2.0 * v)], rtol=ROUNDING)
-    np.testing.assert_allclose(jax.grad(lambda v: quick(2, v)[0])(v)[0], np.sin(2 * v[0]), atol=ROUNDING)
+    np.testing.assert_allclose(compiled(3, v), power(3, v), rtol=ROUNDING)
+    np.testing.assert_allclose(jax.jit(lambda v: compiled(2, v))(v), power(2, v), rtol=ROUNDING)
+    in_jit = jax.jit(lambda: compiled(2, np.ones(3)))()
+    np.testing.assert_allclose(in_jit, power(2, jnp.ones(3)), rtol=ROUNDING)
+    batch = jax.vmap(lambda v: compiled(2, v))(jnp.stack([v, 2.0 * v]))
+    np.testing.assert_allclose(batch, [power(2, v), power(2, 2.0 * v)], rtol=ROUNDING)
+    np.testing.assert_allclose(jax.grad(lambda v: compiled(2, v)[0])(v)[0], np.sin(2 * v[0]), atol=ROUNDING)
 
 
-def test_an_option_that_this_version_does_not_know_is_left_out(monkeypatch):
-    monkeypatch.setattr(xla, "QUICKLY", {"xla_cpu_no_such_option": True})
+def test_an_option_that_this_version_rejects_is_left_out(monkeypatch):
+    monkeypatch.setattr(xla, "CPU_OPTIONS", {"xla_cpu_no_such_option": True})
     xla.options.cache_clear()
     try:
         assert xla.options() == {}

@@ -1,4 +1,4 @@
-"""The nearest semidefinite matrices: against LAPACK's eigenvalues, on matrices that are hard to take apart."""
+"""Eigenvalues and nearest semidefinite matrices, against LAPACK."""
 
 import jax
 import jax.numpy as jnp
@@ -11,22 +11,18 @@ from jaxscp.linalg.eigen import in_jax, native
 from jaxscp.linalg.eigen.dispatch import eigen, nearest
 from jaxscp.linalg.eigen.pseudo_inverse import pseudo_inverse
 
-ROUNDING = 1e-13  # of the largest entry: some hundred rotations, each to 1e-16
-STEP, DIFFERENCES = (
-    1e-6,
-    1e-6,
-)  # of central differences: rounding by the step, and a thousand times the step's square
-CUT = (
-    1e-9  # of the largest singular value: the others of matrices without full rank are zero but for rounding
-)
+ROUNDING = 1e-13  # relative to the largest entry: hundreds of rotations, each to 1e-16
+STEP = 1e-6  # of central differences
+DIFFERENCES = 1e-6  # error of central differences: rounding over STEP, and a thousand times STEP squared
+CUTOFF = 1e-9  # relative to the largest singular value: smaller ones are rounding of zero
 
 compiled = pytest.mark.skipif(
-    not native.LIBRARY.available(), reason="the projection was not compiled: no C++ compiler at installation"
+    not native.LIBRARY.available(), reason="the C++ was not compiled: no compiler at installation"
 )
 
 
 def with_eigenvalues(seed, values):
-    """A symmetric matrix of these eigenvalues, in directions drawn at random."""
+    """Symmetric matrix with these eigenvalues and random eigenvectors."""
     vectors, _ = np.linalg.qr(np.random.default_rng(seed).standard_normal((len(values), len(values))))
     return vectors * values @ vectors.T
 
@@ -43,8 +39,8 @@ def assert_nearest(matrices):
     np.testing.assert_allclose(np.sort(ours) / size[:, None], values / size[:, None], atol=ROUNDING)
     eye = np.broadcast_to(np.eye(matrices.shape[1]), matrices.shape)
     np.testing.assert_allclose(np.swapaxes(columns, 1, 2) @ columns, eye, atol=ROUNDING)
-    again = columns * (ours / size[:, None])[:, None, :] @ np.swapaxes(columns, 1, 2)
-    np.testing.assert_allclose(again, matrices / size[:, None, None], atol=ROUNDING)
+    rebuilt = columns * (ours / size[:, None])[:, None, :] @ np.swapaxes(columns, 1, 2)
+    np.testing.assert_allclose(rebuilt, matrices / size[:, None, None], atol=ROUNDING)
 
 
 @given(seed=st.integers(0, 10_000), count=st.integers(1, 19), size=st.integers(1, 26))
@@ -54,7 +50,7 @@ def test_random_matrices(seed, count, size):
     assert_nearest(jnp.asarray(matrices + np.swapaxes(matrices, 1, 2)))
 
 
-def test_matrices_that_are_hard_to_take_apart():
+def test_repeated_tiny_and_huge_eigenvalues():
     random, size = np.random.default_rng(0), 23
     signs = np.sign(random.standard_normal(size))
     spectra = [
@@ -73,18 +69,18 @@ def test_matrices_that_are_hard_to_take_apart():
 
 @compiled
 @pytest.mark.parametrize("size", [1, 2, 9, 23])
-def test_every_level_that_runs_here_gives_the_same(size, at_level):
+def test_every_instruction_set_gives_the_same(size, at_level):
     matrices = np.random.default_rng(3).standard_normal((11, size, size))
     at_level(native, "NEAREST", "EIGEN")
     assert_nearest(jnp.asarray(matrices + np.swapaxes(matrices, 1, 2)))
 
 
 @compiled
-def test_what_is_no_number_spoils_nothing_else():
+def test_a_matrix_that_is_not_finite_affects_no_other():
     matrices = np.random.default_rng(1).standard_normal((11, 7, 7))
     matrices = jnp.asarray(matrices + np.swapaxes(matrices, 1, 2))
-    spoilt = matrices.at[3, 2, 1].set(jnp.nan).at[9, 0, 0].set(jnp.inf)
-    (clean, least), (found, lowest) = nearest(matrices), nearest(spoilt)
+    damaged = matrices.at[3, 2, 1].set(jnp.nan).at[9, 0, 0].set(jnp.inf)
+    (clean, least), (found, lowest) = nearest(matrices), nearest(damaged)
     others = np.array([i for i in range(11) if i not in (3, 9)])
     np.testing.assert_array_equal(found[others], clean[others])
     np.testing.assert_array_equal(lowest[others], least[others])
@@ -93,7 +89,7 @@ def test_what_is_no_number_spoils_nothing_else():
 
 
 @compiled
-def test_lanes_of_a_batch_and_the_same_as_jax():
+def test_batches_equal_jax():
     matrices = np.random.default_rng(2).standard_normal((4, 29, 9, 9))
     matrices = jnp.asarray(matrices + np.swapaxes(matrices, 2, 3))
     found, least = jax.jit(jax.vmap(nearest))(matrices)
@@ -105,14 +101,14 @@ def test_lanes_of_a_batch_and_the_same_as_jax():
 @pytest.mark.parametrize(
     ("rows", "columns", "rank"), [(6, 4, 4), (6, 4, 3), (6, 8, 6), (6, 8, 4), (1, 1, 1), (1, 1, 0)]
 )
-def test_pseudo_inverse_and_its_derivative_where_the_rank_stays(rows, columns, rank):
+def test_pseudo_inverse_and_its_derivative_at_constant_rank(rows, columns, rank):
     random = np.random.default_rng(rows + columns + rank)
-    left, along_left = random.standard_normal((2, rows, rank))
-    right, along_right = random.standard_normal((2, rank, columns)) * 10.0 ** random.uniform(-1, 1, columns)
-    matrix = lambda t: (left + t * along_left) @ (right + t * along_right)  # noqa: E731
-    slope = along_left @ right + left @ along_right
+    left, left_slope = random.standard_normal((2, rows, rank))
+    right, right_slope = random.standard_normal((2, rank, columns)) * 10.0 ** random.uniform(-1, 1, columns)
+    matrix = lambda t: (left + t * left_slope) @ (right + t * right_slope)  # noqa: E731
+    slope = left_slope @ right + left @ right_slope
     inverse, found = jax.jvp(pseudo_inverse, (jnp.asarray(matrix(0.0)),), (jnp.asarray(slope),))
-    ahead, here, behind = (np.linalg.pinv(matrix(t), rcond=CUT) for t in (STEP, 0.0, -STEP))
+    after, here, before = (np.linalg.pinv(matrix(t), rcond=CUTOFF) for t in (STEP, 0.0, -STEP))
     size = max(1.0, np.abs(here).max()) ** 2
     np.testing.assert_allclose(inverse / size, here / size, atol=ROUNDING)
-    np.testing.assert_allclose(found / size, (ahead - behind) / (2 * STEP) / size, atol=DIFFERENCES)
+    np.testing.assert_allclose(found / size, (after - before) / (2 * STEP) / size, atol=DIFFERENCES)

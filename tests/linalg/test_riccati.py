@@ -1,4 +1,4 @@
-"""The Newton system of a chain: the recursion against a dense solve, convex blocks or not, in C++ and as JAX."""
+"""The Riccati recursion against a dense solve, with and without convex blocks, in C++ and in JAX."""
 
 import dataclasses
 
@@ -11,24 +11,22 @@ import pytest
 from jaxscp.linalg import riccati
 from jaxscp.linalg.riccati import in_jax, native
 
-ROUNDING = 1e-8  # relative; after refinement, of systems whose condition is about 1e6
-SAME_STEPS = (
-    1e-7  # relative; of one solve without refinement, whose penalties make the condition 1e7 and more
-)
+ROUNDING = 1e-8  # relative, after refinement; the condition number is about 1e6
+UNREFINED = 1e-7  # relative, without refinement; penalties raise the condition number to 1e7 and more
 
 compiled = pytest.mark.skipif(
-    not native.LIBRARY.available(), reason="the recursion was not compiled: no C++ compiler at installation"
+    not native.LIBRARY.available(), reason="the C++ was not compiled: no compiler at installation"
 )
 
 
-def random_chain(seed, convex, intervals=5, states=4, controls=2):
-    """A chain whose cost is convex in the directions the dynamics leave."""
+def random_lq(seed, convex, intervals=5, states=4, controls=2):
+    """Problem whose cost is convex in the directions that the dynamics leave free."""
     random = np.random.default_rng(seed)
     stage, inputs = states + controls, states + 2 * controls
     square = random.standard_normal((intervals, inputs, inputs))
     hessian = square @ np.swapaxes(square, 1, 2) + np.eye(inputs)
     if not convex:
-        # Add x' P x at every node and take it away before the next: no block stays convex, the sum is the same.
+        # add x' P x at every node and subtract it at the next: no block stays convex, and the sum does not change
         flow = random.standard_normal((intervals, states, inputs)) * 0.5
         shift = 30.0 * np.eye(states)
         hessian = hessian - np.swapaxes(flow, 1, 2) @ shift @ flow
@@ -42,32 +40,32 @@ def random_chain(seed, convex, intervals=5, states=4, controls=2):
     return riccati.LQProblem(*map(jnp.asarray, (hessian, last, flow, ends[0], ends[1])))
 
 
-def random_side(chain, seed):
+def random_vector(problem, seed):
     random = np.random.default_rng(seed)
-    nodes, stage = chain.flow.shape[0] + 1, chain.last.shape[0]
-    shapes = ((nodes, stage), chain.flow.shape[:2], chain.initial.shape[:1], chain.final.shape[:1])
+    nodes, stage = problem.flow.shape[0] + 1, problem.last.shape[0]
+    shapes = ((nodes, stage), problem.flow.shape[:2], problem.initial.shape[:1], problem.final.shape[:1])
     return riccati.KKTVector(*(jnp.asarray(random.standard_normal(s)) for s in shapes))
 
 
 @pytest.mark.parametrize("convex", [True, False])
 def test_solves_the_dense_system(convex):
-    chain = random_chain(0, convex)
-    right = random_side(chain, 1)
+    problem = random_lq(0, convex)
+    right = random_vector(problem, 1)
     flat, unravel = jax.flatten_util.ravel_pytree(right)
-    dense = jax.jacfwd(lambda v: jax.flatten_util.ravel_pytree(riccati.apply(chain, unravel(v)))[0])(flat)
+    dense = jax.jacfwd(lambda v: jax.flatten_util.ravel_pytree(riccati.apply(problem, unravel(v)))[0])(flat)
     np.testing.assert_allclose(dense, dense.T, atol=1e-12)
-    factor = riccati.factor(chain)
+    factor = riccati.factor(problem)
     assert bool(factor.definite)
     if not convex:
-        assert float(jnp.min(jnp.linalg.eigvalsh(chain.hessian))) < -1.0
+        assert float(jnp.min(jnp.linalg.eigvalsh(problem.hessian))) < -1.0
     found = jax.flatten_util.ravel_pytree(riccati.solve(factor, right))[0]
     expected = np.linalg.solve(dense, flat)
     np.testing.assert_allclose(found, expected, atol=ROUNDING * np.max(np.abs(expected)))
 
 
-def test_a_saddle_is_noticed():
-    chain = random_chain(0, True)
-    saddle = dataclasses.replace(chain, hessian=chain.hessian.at[2, -1, -1].add(-1e3))
+def test_a_saddle_is_not_definite():
+    problem = random_lq(0, True)
+    saddle = dataclasses.replace(problem, hessian=problem.hessian.at[2, -1, -1].add(-1e3))
     assert not bool(riccati.factor(saddle).definite)
     assert bool(riccati.factor(saddle.shifted(jnp.asarray(2e3))).definite)
 
@@ -90,43 +88,45 @@ SHAPES = {
 
 @compiled
 @pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
-def test_compiled_steps_are_those_in_jax(shape):
-    chain = random_chain(3, True, **shape)
-    right = random_side(chain, 4)
-    factor = in_jax.factor(chain)
-    assert_same(factor, jax.jit(native.factor)(chain), ROUNDING)
-    for refinements, tolerance in ((0, SAME_STEPS), (2, ROUNDING)):
+def test_compiled_equals_jax(shape):
+    problem = random_lq(3, True, **shape)
+    right = random_vector(problem, 4)
+    factor = in_jax.factor(problem)
+    assert_same(factor, jax.jit(native.factor)(problem), ROUNDING)
+    for refinements, tolerance in ((0, UNREFINED), (2, ROUNDING)):
         solved = jax.jit(native.solve, static_argnums=2)(factor, right, refinements)
         assert_same(in_jax.solve(factor, right, refinements), solved, tolerance)
 
 
 @compiled
 @pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
-def test_every_level_that_runs_here_gives_the_same(shape, at_level):
-    chain = random_chain(3, True, **shape)
-    right = random_side(chain, 4)
-    factor = in_jax.factor(chain)
+def test_every_instruction_set_gives_the_same(shape, at_level):
+    problem = random_lq(3, True, **shape)
+    right = random_vector(problem, 4)
+    factor = in_jax.factor(problem)
     at_level(native, "FACTOR", "SOLVE")
-    assert_same(factor, native.factor(chain), ROUNDING)
+    assert_same(factor, native.factor(problem), ROUNDING)
     assert_same(in_jax.solve(factor, right, 2), native.solve(factor, right, 2), ROUNDING)
 
 
 @compiled
-def test_lanes_of_a_batch_are_those_alone():
-    chains = [random_chain(seed, seed % 2 == 0) for seed in range(5)]
-    saddle = dataclasses.replace(chains[1], hessian=chains[1].hessian.at[2, -1, -1].add(-1e3))
-    chains[1] = saddle
-    sides = [random_side(chain, 9) for chain in chains]
+def test_batch_elements_equal_single_problems():
+    problems = [random_lq(seed, seed % 2 == 0) for seed in range(5)]
+    saddle = dataclasses.replace(problems[1], hessian=problems[1].hessian.at[2, -1, -1].add(-1e3))
+    problems[1] = saddle
+    vectors = [random_vector(problem, 9) for problem in problems]
     stack = lambda trees: jax.tree.map(lambda *v: jnp.stack(v), *trees)  # noqa: E731
 
-    def both(chain, side):
-        factor = riccati.factor(chain)
-        return factor, riccati.solve(factor, side)
+    def both(problem, vector):
+        factor = riccati.factor(problem)
+        return factor, riccati.solve(factor, vector)
 
-    factors, found = jax.jit(jax.vmap(both))(stack(chains), stack(sides))
+    factors, found = jax.jit(jax.vmap(both))(stack(problems), stack(vectors))
     np.testing.assert_array_equal(jax.vmap(lambda f: f.definite)(factors), [i != 1 for i in range(5)])
-    for lane in (0, 2, 3, 4):
-        alone = jax.jit(both)(chains[lane], sides[lane])
+    for element in (0, 2, 3, 4):
+        alone = jax.jit(both)(problems[element], vectors[element])
         jax.tree.map(
-            lambda a, b, lane=lane: np.testing.assert_array_equal(a, b[lane]), alone, (factors, found)
+            lambda a, b, element=element: np.testing.assert_array_equal(a, b[element]),
+            alone,
+            (factors, found),
         )

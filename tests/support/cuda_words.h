@@ -1,4 +1,4 @@
-// The words of CUDA that kernels have, on a CPU.
+// CUDA keywords and functions of kernels, on a CPU.
 #pragma once
 
 #include <cmath>

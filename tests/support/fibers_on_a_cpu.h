@@ -1,5 +1,5 @@
-// A GPU's threads on a CPU: those of one block take turns, each until the next barrier. Slow, but what lanes pass to each
-// other, and which phase needs which to be done, is as on a GPU.
+// A GPU's threads on a CPU: the threads of a block take turns, each until the next barrier. Slow, but shuffles and
+// barriers have the meaning that they have on a GPU.
 #pragma once
 
 #include <ucontext.h>
@@ -18,7 +18,7 @@ namespace emulated {
 
 constexpr int kWarpSize = 32;
 
-// A barrier: those who come wait for the rest.
+// Barrier: threads that arrive wait for the others.
 struct Barrier {
   int size = 0, arrived = 0, round = 0;
 };
@@ -51,7 +51,7 @@ inline void enter() {
   swapcontext(&fibers[me], &scheduler);
 }
 
-// ``work`` by as many threads at once.
+// Runs ``work`` by so many threads of one block.
 inline void run(int threads, std::function<void()> work) {
   constexpr size_t kStack = 1 << 18;
   blockDim.x = threads;
@@ -67,7 +67,7 @@ inline void run(int threads, std::function<void()> work) {
   }
   for (int left = threads; left > 0;) {
     left = 0;
-    // each round begins with another thread, so that none is always first
+    // each round begins with a different thread, so that no order is relied on
     static int turn = 0;
     turn = (turn * 5 + 3) % threads;
     for (int i = 0; i < threads; ++i) {
@@ -96,11 +96,11 @@ template <typename T>
 inline T __shfl_sync(unsigned, T v, int from) {
   return static_cast<T>(exchanged(static_cast<double>(v), from));
 }
-inline double __shfl_xor_sync(unsigned, double v, int apart) {
-  return exchanged(v, threadIdx.x % emulated::kWarpSize ^ apart);
+inline double __shfl_xor_sync(unsigned, double v, int lane_mask) {
+  return exchanged(v, threadIdx.x % emulated::kWarpSize ^ lane_mask);
 }
 inline bool __any_sync(unsigned, bool v) {
-  for (int apart = 1; apart < emulated::kWarpSize; apart *= 2) v |= __shfl_xor_sync(0, v, apart) != 0.0;
+  for (int mask = 1; mask < emulated::kWarpSize; mask *= 2) v |= __shfl_xor_sync(0, v, mask) != 0.0;
   return v;
 }
 inline unsigned long long atomicAdd(unsigned long long* at, unsigned long long by) {

@@ -1,5 +1,5 @@
-// The interior point's kernel for GPUs on a CPU, compiled for the sizes of one program (JAXSCP_SIZES) and called as the
-// loop for CPUs is.
+// The interior point's CUDA kernel on a CPU, compiled for the sizes of one program (JAXSCP_SIZES), as the FFI target of
+// the C++ for CPUs.
 
 #define JAXSCP_EMULATED_GPU
 #define JAXSCP_BLOCKS 1

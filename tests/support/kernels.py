@@ -1,4 +1,4 @@
-"""Kernels generated from tapes, compiled for a CPU, where threads run one after another."""
+"""CUDA kernels written from tapes, compiled for a CPU, where threads run one after another."""
 
 import ctypes
 import functools
@@ -22,7 +22,7 @@ needs_nvidia = pytest.mark.skipif(
 
 
 def compile_here(source, library, *options):
-    """Compile a source file to a shared library."""
+    """Compile a file into a shared library."""
     headers = ["-isystem", jax.ffi.include_dir(), f"-I{HERE}"]
     flags = ["-std=c++20", "-O0", "-fPIC", "-w", "-shared", *options]
     subprocess.run([COMPILER, *flags, *headers, str(source), "-o", str(library)], check=True)
@@ -30,27 +30,27 @@ def compile_here(source, library, *options):
 
 @functools.cache
 def handler() -> str:
-    """Name of the registered target that calls a kernel on a CPU."""
-    name = "jaxscp_test_sweep"
+    """Name of the FFI target that runs a kernel on a CPU."""
+    name = "jaxscp_test_kernel"
     with tempfile.TemporaryDirectory() as folder:
         library = Path(folder) / "handler.so"
-        compile_here(HERE / "sweep_on_a_cpu.cc", library)
+        compile_here(HERE / "kernel_handler_on_a_cpu.cc", library)
         assert libraries.register(ctypes.CDLL(str(library)), launch.TARGET, target=name)
     return name
 
 
-def compiled(text: str, folder: Path, words: str = "threads_on_a_cpu.h") -> bytes:
-    """Replacement of a kernel's machine code: path of its library. A header defines CUDA's keywords."""
+def compiled(text: str, folder: Path, keywords: str = "threads_on_a_cpu.h") -> bytes:
+    """Path of a kernel's library, in place of a cubin; a header supplies CUDA's keywords."""
     source, library = folder / "kernel.cc", folder / "kernel.so"
     source.write_text(text)
-    compile_here(source, library, "-include", words)
+    compile_here(source, library, "-include", keywords)
     return str(library).encode()
 
 
 def as_on_a_gpu(monkeypatch) -> None:
-    """Make tracing behave as on a machine with a GPU; all kernels have the same image."""
+    """Trace as on a machine with a GPU, where every kernel compiles."""
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     monkeypatch.setattr(cuda, "capability", lambda: "90")
     monkeypatch.setattr(cuda, "launches", lambda _: True)
     monkeypatch.setattr(cuda, "compiler", lambda: "one")
-    monkeypatch.setattr(launch, "image", lambda *_: b"an image")
+    monkeypatch.setattr(launch, "cubin", lambda *_: b"a cubin")

@@ -167,7 +167,7 @@ def test_a_kernel_of_other_dynamics_integrates_nothing(emulated, monkeypatch):
 @pytest.mark.parametrize("capability", ["80", "90"])
 def test_kernel_compiles(capability):
     text = cuda_source.kernel(in_cuda.record(BODY), NODES - 1, SAMPLES)
-    assert launch.image(text, capability, "the flight").startswith(b"\x7fELF")
+    assert launch.cubin(text, capability, "the flight").startswith(b"\x7fELF")
 
 
 def test_an_interval_has_two_samples_at_least():

@@ -1,1 +1,1 @@
-"""Functions of arrays as lists of scalar operations, and these as CUDA text."""
+"""Array functions as lists of scalar operations (tapes), evaluated by C++ or JAX or written as CUDA text."""

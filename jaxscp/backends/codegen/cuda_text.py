@@ -1,7 +1,7 @@
-"""From a tape to statements of C: what kernels for NVIDIA GPUs are written with.
+"""CUDA statements of a tape.
 
-Operations stand where their results are first needed, so that few numbers are held; and what depends on no argument is
-found once a flight, outside of the kernel, and read where it is needed.
+An operation stands just before its first use, so that few numbers are live. Hoisted constants, which depend on no
+argument, are computed once outside of the kernel and read from memory.
 """
 
 import math
@@ -9,10 +9,10 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from jaxscp.backends.codegen import tape
-from jaxscp.backends.codegen.functions import Function
+from jaxscp.backends.codegen.functions import TapedFunction
 
 COMPARISONS = """\
-// no number stays none, whichever it is
+// NaN if either operand is NaN
 inline double greater(double x, double y) { return x != x ? x : y <= x ? x : y; }
 inline double less(double x, double y) { return x != x ? x : y >= x ? x : y; }
 
@@ -40,93 +40,93 @@ _FORMS = {
 _BY_CODE = {tape.CODES[name]: form for name, form in _FORMS.items()}
 
 
-def known(function: Function) -> list[int]:
-    """Places of what depends on no argument and is no constant, as far as what does depend on one reads it.
+def hoisted_slots(function: TapedFunction) -> list[int]:
+    """Slots of parameters and hoisted results that the outputs, or operations on arguments, read.
 
-    Nothing else is ever put there.
+    Such a slot holds the same number throughout the tape.
     """
-    t, inputs = function.first, _inputs(function)
-    of_parameters = range(inputs, inputs + len(t.parameters))
-    found = {*of_parameters, *t.operations[: t.hoisted, 1].tolist()}
-    read = {place for code, _, *places in t.operations[t.hoisted :].tolist() for place in _read(code, places)}
+    t = function.first
+    of_parameters = range(function.inputs, function.inputs + len(t.parameters))
+    found = {*of_parameters, *t.operations[: t.hoisted_count, 1].tolist()}
+    varying = t.operations[t.hoisted_count :].tolist()
+    read = {slot for code, _, *slots in varying for slot in _operands(code, slots)}
     return sorted(found & (read | set(t.outputs.tolist())))
 
 
-def _inputs(function: Function) -> int:
-    return function.arguments + function.values  # of which each has a price, which nothing here reads
-
-
-def _read(code: int, operands: list[int]) -> list[int]:
-    """Those that an operation has."""
-    return operands[: _BY_CODE[code].count("{}")]
+def _operands(code: int, slots: list[int]) -> list[int]:
+    """The slots that an operation reads: as many as it has operands."""
+    return slots[: _BY_CODE[code].count("{}")]
 
 
 class Numbers(NamedTuple):
-    """What depends on arguments, every number with one of its own; what does not has its place's."""
+    """A tape in static single assignment: every result that depends on an argument has a number of its own.
+
+    All other numbers keep the index of their slot.
+    """
 
     operations: dict[int, tuple[int, list[int]]]
-    """By number: the code of what makes it, and what that reads."""
+    """By number: code of the operation, and its operands."""
     outputs: list[int]
-    known: dict[int, int]
-    """By place: which of ``known`` is there."""
+    hoisted: dict[int, int]
+    """By slot: index among the hoisted constants."""
     constants: dict[int, str]
-    """By place: the constant that is there."""
+    """By slot: a literal."""
 
 
-def numbered(function: Function) -> Numbers:
-    """Those of a function without data, and of its Jacobian."""
+def numbered(function: TapedFunction) -> Numbers:
+    """Static single assignment of a function without data, and of its Jacobian."""
     t = function.first
-    at = {place: place for place in range(t.places)}  # places serve again
+    at = {slot: slot for slot in range(t.slots)}  # latest number in each slot
     operations = {}
-    for number, (code, to, *places) in enumerate(t.operations[t.hoisted :].tolist(), start=t.places):
-        operations[number] = code, [at[v] for v in _read(code, places)]
+    for number, (code, to, *slots) in enumerate(t.operations[t.hoisted_count :].tolist(), start=t.slots):
+        operations[number] = code, [at[v] for v in _operands(code, slots)]
         at[to] = number
-    places = {place: i for i, place in enumerate(known(function))}
-    constants = enumerate(t.constants.tolist(), start=_inputs(function) + len(t.parameters))
-    spelled = {place: literal(value) for place, value in constants}
-    return Numbers(operations, [at[v] for v in t.outputs.tolist()], places, spelled)
+    hoisted = {slot: i for i, slot in enumerate(hoisted_slots(function))}
+    constants = enumerate(t.constants.tolist(), start=function.inputs + len(t.parameters))
+    literals = {slot: literal(value) for slot, value in constants}
+    return Numbers(operations, [at[v] for v in t.outputs.tolist()], hoisted, literals)
 
 
 class Scope:
-    """Names of numbers. One without is read or made when it is needed, after what it is made of."""
+    """Variables of a C++ scope: a number is declared when it is first needed, after its operands."""
 
     def __init__(self, numbers: Numbers, arguments: Sequence[str], prefix: str) -> None:
         self.numbers, self.prefix = numbers, prefix
         self.names = numbers.constants | dict(enumerate(arguments))
 
     def make(self, number: int) -> Iterator[str]:
-        """Statements after which it has a name."""
+        """Statements that declare a number and all that it depends on."""
         waiting = [number]
         while waiting:
             last = waiting[-1]
             _, read = self.numbers.operations.get(last, (0, []))
-            lacking = [v for v in (last, *read) if v not in self.names]
-            if last not in lacking:
+            undeclared = [v for v in (last, *read) if v not in self.names]
+            if last not in undeclared:
                 waiting.pop()
-            elif len(lacking) > 1:
-                waiting += reversed(lacking[1:])
+            elif len(undeclared) > 1:
+                waiting += reversed(undeclared[1:])
             else:
                 value = self.value(last)
                 self.names[last] = f"{self.prefix}{last}"
                 yield f"const double {self.names[last]} = {value};"
 
     def value(self, number: int) -> str:
-        """It, by what has a name."""
-        if number in self.numbers.known:
-            return f"__ldg(known + {self.numbers.known[number]})"
+        """Expression of a number whose operands are declared."""
+        if number in self.numbers.hoisted:
+            return f"__ldg(hoisted + {self.numbers.hoisted[number]})"
         code, read = self.numbers.operations[number]
         return _BY_CODE[code].format(*(self.names[v] for v in read))
 
 
 def literal(value: float) -> str:
-    """A number as it is written."""
+    """C++ literal of a number."""
     if math.isfinite(value):
         return repr(value) if math.copysign(1.0, value) > 0.0 else f"({value!r})"
     return "(0.0 / 0.0)" if math.isnan(value) else f"({'-' if value < 0.0 else ''}1.0 / 0.0)"
 
 
 def filled(text: str, numbers: dict[str, int]) -> str:
-    """A text in which numbers take the place of their names, of which each has @ before it."""
+    """Text in which numbers replace their names, each of which has @ before it."""
     for name, number in numbers.items():
         text = text.replace(f"@{name}", str(number))
     return text

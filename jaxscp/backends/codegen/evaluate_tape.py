@@ -1,4 +1,4 @@
-"""A tape evaluated by JAX: every number is an array."""
+"""Evaluation of a tape by JAX: every number is an array."""
 
 from collections.abc import Callable
 
@@ -37,10 +37,10 @@ _OPERATIONS = {
 }
 
 
-def play(recorded: tape.Tape, arguments: list[Array], parameters: Float[Array, "parameters"]) -> list[Array]:
-    """The outputs of a tape."""
-    places: dict[int, Array] = dict(enumerate([*arguments, *parameters, *recorded.constants.tolist()]))
+def evaluate(recorded: tape.Tape, inputs: list[Array], parameters: Float[Array, "parameters"]) -> list[Array]:
+    """Outputs of a tape, arrays of the shape that its inputs have."""
+    slots: dict[int, Array] = dict(enumerate([*inputs, *parameters, *recorded.constants.tolist()]))
     for code, to, *operands in recorded.operations.tolist():
         count, function = _OPERATIONS[code]
-        places[to] = function(*(places[v] for v in operands[:count]))
-    return [places[v] for v in recorded.outputs.tolist()]
+        slots[to] = function(*(slots[v] for v in operands[:count]))
+    return [slots[v] for v in recorded.outputs.tolist()]

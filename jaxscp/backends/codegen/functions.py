@@ -1,4 +1,4 @@
-"""A function and its derivatives as tapes."""
+"""A function and its first and second derivatives as tapes."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -13,68 +13,86 @@ from jaxscp.backends.codegen import tape, tracing
 from jaxscp.backends.codegen.graph import Number
 
 
-class Function(NamedTuple):
-    """The values, and where derivatives in the arguments are not zero.
+class TapedFunction(NamedTuple):
+    """A function f(a, data) as tapes, with the sparsity of its derivatives in a.
 
-    Its tapes' places begin with the arguments, a price of every value, and data, which have no derivatives.
+    The tapes' inputs are the arguments a, a multiplier y_k of every value f_k, and the data.
     """
 
     arguments: int
+    """Size of a."""
     values: int
+    """Size of f."""
     data: int
+    """Size of the data."""
     first: tape.Tape
-    """The values, then the Jacobian's entries."""
+    """Tape of the values, then of the Jacobian's nonzero entries."""
     second: tape.Tape
-    """Entries of the Hessian of the priced sum."""
+    """Tape of the nonzero entries of the Hessian of y . f."""
     parameters: tuple[Float[Array, "_"], Float[Array, "_"]]
-    """Of both."""
+    """Parameters of the first and the second tape."""
     jacobian: np.ndarray
     """(entries, 2): row and column."""
     hessian: np.ndarray
-    """(entries, 2), of the lower triangle."""
+    """(entries, 2): row and column in the lower triangle."""
+
+    @property
+    def inputs(self) -> int:
+        """Number of the tapes' inputs: a, y and the data."""
+        return self.arguments + self.values + self.data
 
 
-def record(function: Callable[..., Array], arguments: int, data: Sequence[Array], order: int) -> Function:
-    """Find the operations that a function of (arguments, *data) is made of, and its derivatives up to an order.
+def record(
+    function: Callable[..., Array], arguments: int, data: Sequence[Array], order: int
+) -> TapedFunction:
+    """Tapes of a function of (a, *data), and of its derivatives up to an order.
+
+    Args:
+        function: function of (a, *data); returns a vector.
+        arguments: size of a.
+        data: arrays of the data's shapes.
+        order: 0, 1 or 2.
 
     Raises:
-        CannotTrace: if they are not arithmetic alone.
+        CannotTrace: if the function is not arithmetic alone.
     """
     if not libraries.in_float64(data):
         raise tracing.CannotTrace("data that are no float64")
     like = jax.ShapeDtypeStruct((arguments,), jnp.float64)
     values = jax.eval_shape(function, like, *data).shape[0]
 
-    def all_of(argument, price, *data):
+    def with_derivatives(argument, multipliers, *data):
         value = lambda a: function(a, *data)  # noqa: E731
         found = [value(argument)]
         if order > 0:
             found.append(jax.jacfwd(value)(argument))
         if order > 1:
-            found.append(jax.hessian(lambda a: jnp.dot(value(a), price))(argument))
+            found.append(jax.hessian(lambda a: jnp.dot(value(a), multipliers))(argument))
         return found
 
     shapes = [(arguments,), (values,), *(v.shape for v in data)]
-    traced = tracing.trace(all_of, *shapes) if values else tracing.Traced([], [])
-    results, jacobian, hessian = [*traced.outputs, *_NOTHING[len(traced.outputs) :]]
-    in_jacobian, in_hessian = _not_zero(jacobian), _not_zero(hessian, lower=True)
+    traced = tracing.trace(with_derivatives, *shapes) if values else tracing.TracedFunction([], [])
+    results, jacobian, hessian = [*traced.outputs, *_EMPTY[len(traced.outputs) :]]
+    in_jacobian, in_hessian = _nonzero(jacobian), _nonzero(hessian, lower=True)
     inputs = arguments + values + sum(v.size for v in data)
-    first = tape.record([*results, *_at(jacobian, in_jacobian)], inputs)
-    second = tape.record(_at(hessian, in_hessian), inputs)
+    first = tape.record([*results, *_entries(jacobian, in_jacobian)], inputs)
+    second = tape.record(_entries(hessian, in_hessian), inputs)
     parameters = traced.parameters(first.parameters), traced.parameters(second.parameters)
     data_size = inputs - arguments - values
-    return Function(arguments, values, data_size, first, second, parameters, in_jacobian, in_hessian)
+    return TapedFunction(arguments, values, data_size, first, second, parameters, in_jacobian, in_hessian)
 
 
-_NOTHING = np.zeros(0, object), np.zeros((0, 0), object), np.zeros((0, 0), object)
+_EMPTY = np.zeros(0, object), np.zeros((0, 0), object), np.zeros((0, 0), object)
 
 
-def _at(matrix: Any, where: np.ndarray) -> list[Number]:
+def _entries(matrix: Any, where: np.ndarray) -> list[Number]:
     return [matrix[r, c] for r, c in where]
 
 
-def _not_zero(matrix: np.ndarray, lower: bool = False) -> np.ndarray:
+def _nonzero(matrix: np.ndarray, lower: bool = False) -> np.ndarray:
     pairs = [
-        (r, c) for (r, c), number in np.ndenumerate(matrix) if number.known != 0.0 and (r >= c or not lower)
+        (r, c)
+        for (r, c), number in np.ndenumerate(matrix)
+        if number.constant != 0.0 and (r >= c or not lower)
     ]
     return np.array(pairs, np.int32).reshape(-1, 2)

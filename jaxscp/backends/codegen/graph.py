@@ -1,6 +1,6 @@
-"""Arithmetic on numbers that are not known yet: a graph of operations in which each number is there once.
+"""Expression graph of scalar arithmetic, simplified while it is built.
 
-Zeros and ones vanish, and what is equal is the same node, so that the structure of a sparse derivative shows.
+Zeros and ones vanish, and equal expressions are one node, so that the sparsity of a derivative shows.
 """
 
 from collections.abc import Callable
@@ -8,26 +8,26 @@ from typing import Any
 
 
 class Number:
-    """An operation on other numbers; or a constant, an argument, a parameter, which have none."""
+    """A node: an operation on other nodes; or a constant, an argument or a parameter, which have no operands."""
 
     __slots__ = ("index", "kind", "operands", "value")
 
     def __init__(self, index: int, kind: str, value: Any, operands: tuple["Number", ...]) -> None:
         self.index = index
-        """Of its coming into being, so that what is sorted is the same in every run."""
+        """Order of creation; sorting by it makes every run the same."""
         self.kind = kind
         self.value = value
-        """Of a constant; the index of an argument, the array and index of a parameter."""
+        """Value of a constant; index of an argument; (array, index) of a parameter."""
         self.operands = operands
 
     @property
-    def known(self) -> float | None:
-        """Its value, if it has one by itself."""
+    def constant(self) -> float | None:
+        """Value of a constant; None for every other node."""
         return self.value if self.kind == "constant" else None
 
 
 class Graph:
-    """Numbers, each there once.
+    """Expression graph, each node of which is unique.
 
     Example:
         >>> from jaxscp.backends.codegen.graph import Graph
@@ -41,15 +41,15 @@ class Graph:
         self._numbers: dict[tuple, Number] = {}
 
     def leaf(self, kind: str, value: Any) -> Number:
-        """A constant of this value, or the argument or parameter of this place."""
+        """Constant of this value; or argument or parameter of this index."""
         return self._get(kind, (), value)
 
     def sum(self, a: Number, b: Number) -> Number:
         """a + b."""
-        if a.known is not None and b.known is not None:
-            return self._constant(a.known + b.known)
+        if a.constant is not None and b.constant is not None:
+            return self._constant(a.constant + b.constant)
         for one, other in ((a, b), (b, a)):
-            if one.known == 0.0:
+            if one.constant == 0.0:
                 return other
             if one.kind == "negative":
                 return self.difference(other, one.operands[0])
@@ -57,56 +57,56 @@ class Graph:
 
     def difference(self, a: Number, b: Number) -> Number:
         """a - b."""
-        if a.known is not None and b.known is not None:
-            return self._constant(a.known - b.known)
-        if a.known == 0.0:
+        if a.constant is not None and b.constant is not None:
+            return self._constant(a.constant - b.constant)
+        if a.constant == 0.0:
             return self.negative(b)
-        if b.known == 0.0:
+        if b.constant == 0.0:
             return a
         if b.kind == "negative":
             return self.sum(a, b.operands[0])
         return self._get("difference", (a, b))
 
     def product(self, a: Number, b: Number) -> Number:
-        """a b; nothing where either is known to be zero, whatever the other."""
-        if a.known is not None and b.known is not None:
-            return self._constant(a.known * b.known)
+        """a b; zero if either is the constant zero, even if the other may be NaN."""
+        if a.constant is not None and b.constant is not None:
+            return self._constant(a.constant * b.constant)
         for one, other in ((a, b), (b, a)):
-            if one.known == 0.0:
+            if one.constant == 0.0:
                 return one
-            if one.known == 1.0:
+            if one.constant == 1.0:
                 return other
-            if one.known == -1.0:
+            if one.constant == -1.0:
                 return self.negative(other)
             if one.kind == "negative":
                 return self.negative(self.product(one.operands[0], other))
         return self._get("product", _sorted(a, b))
 
     def quotient(self, a: Number, b: Number) -> Number:
-        """a / b, as a times the reciprocal of b: many are divided by the same."""
-        if b.known:
-            return self.product(a, self._constant(1.0 / b.known))
-        return a if a.known == 0.0 else self.product(a, self._get("reciprocal", (b,)))
+        """a / b, as a times 1 / b: many quotients share a divisor."""
+        if b.constant:
+            return self.product(a, self._constant(1.0 / b.constant))
+        return a if a.constant == 0.0 else self.product(a, self._get("reciprocal", (b,)))
 
     def negative(self, a: Number) -> Number:
         """-a."""
-        if a.known is not None:
-            return self._constant(-a.known)
+        if a.constant is not None:
+            return self._constant(-a.constant)
         return a.operands[0] if a.kind == "negative" else self._get("negative", (a,))
 
     def choice(self, which: Number, no: Number, yes: Number) -> Number:
         """``yes`` where ``which`` is not zero, else ``no``."""
-        if which.known is not None:
-            return yes if which.known else no
+        if which.constant is not None:
+            return yes if which.constant else no
         return yes if yes is no else self._get("choice", (which, yes, no))
 
     def other(self, kind: str, function: Callable[..., float], *operands: Number) -> Number:
-        """An operation that nothing simplifies but that its operands are known."""
-        values = [v.known for v in operands]
-        known = [v for v in values if v is not None]
+        """An operation whose only simplification is the folding of constants."""
+        values = [v.constant for v in operands]
+        constants = [v for v in values if v is not None]
         return (
-            self._constant(function(*known))
-            if len(known) == len(values)
+            self._constant(function(*constants))
+            if len(constants) == len(values)
             else self._get(kind, tuple(operands))
         )
 

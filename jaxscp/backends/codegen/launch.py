@@ -1,4 +1,4 @@
-"""Kernels for NVIDIA GPUs that are written from tapes: compiled, told what is known, and launched."""
+"""CUDA kernels that are written from tapes: compilation, hoisted constants, and the launch."""
 
 import functools
 from collections.abc import Sequence
@@ -10,46 +10,52 @@ from jaxtyping import Array, Float
 
 from jaxscp.backends import cuda, libraries
 from jaxscp.backends.codegen import cuda_text, evaluate_tape
-from jaxscp.backends.codegen.functions import Function
+from jaxscp.backends.codegen.functions import TapedFunction
 
-TARGET = libraries.SWEEP.on_gpu
+TARGET = libraries.INTEGRATION.on_gpu
 
 
 def available() -> bool:
-    """Whether they can be compiled, and launched on the GPU that JAX runs on."""
-    return cuda.launches(libraries.SWEEP) and cuda.compiler() is not None
+    """Whether kernels can be compiled, and launched on the GPU that JAX runs on."""
+    return cuda.launches(libraries.INTEGRATION) and cuda.compiler() is not None
 
 
 @functools.cache
-def image(text: str, capability: str, whose: str) -> bytes | None:
-    """A kernel as machine code of the GPU; None and a warning if it does not compile."""
-    return cuda.machine_code(text, capability, whose)
+def cubin(text: str, capability: str, owner: str) -> bytes | None:
+    """Cubin of a kernel; None and a warning if compilation fails."""
+    return cuda.compile_cubin(text, capability, owner)
 
 
-def known_of(slopes: Function) -> Float[Array, "numbers"]:
-    """What a kernel reads of a flight, in its order."""
-    places = cuda_text.known(slopes)
-    hoisted_tape = slopes.first._replace(
-        operations=slopes.first.operations[: slopes.first.hoisted], outputs=np.array(places, int)
+def hoisted_constants(function: TapedFunction) -> Float[Array, "hoisted"]:
+    """Values that depend on no argument, in the order in which a kernel reads them."""
+    slots = cuda_text.hoisted_slots(function)
+    hoisted_tape = function.first._replace(
+        operations=function.first.operations[: function.first.hoisted_count], outputs=np.array(slots, int)
     )
-    nothing = [jnp.zeros(())] * (slopes.arguments + slopes.values)  # is read of the arguments
-    found = evaluate_tape.play(hoisted_tape, nothing, slopes.parameters[0])
+    unread = [jnp.zeros(())] * function.inputs  # no hoisted operation reads an input
+    found = evaluate_tape.evaluate(hoisted_tape, unread, function.parameters[0])
     return jnp.stack(found) if found else jnp.zeros(0)
 
 
 def call(
-    machine_code: bytes,
-    w: Float[Array, "many inputs"],
-    known: Float[Array, "numbers"],
+    cubin: bytes,
+    w: Float[Array, "batch inputs"],
+    hoisted: Float[Array, "hoisted"],
     shapes: tuple[tuple[int, ...], tuple[int, ...]],
-    together: int,
+    group_size: int,
     threads: int,
 ) -> Sequence[Array]:
-    """Two arrays of these shapes, which a kernel makes of what a flight has many of and of what is known of it.
+    """Two arrays, which a kernel computes from a batch.
 
-    So many threads work on one of the many together, and so many are a block.
+    Args:
+        cubin: machine code of the kernel.
+        w: inputs, one row for each element of the batch.
+        hoisted: constants shared by the batch.
+        shapes: shapes of the two arrays.
+        group_size: threads that work on one element.
+        threads: threads of a block.
     """
     results = [jax.ShapeDtypeStruct(shape, w.dtype) for shape in shapes]
     launch = jax.ffi.ffi_call(TARGET, results, vmap_method="broadcast_all")
-    numbers = {"groups": np.int64(together), "threads": np.int64(threads)}
-    return launch(w, known, **numbers, **cuda.attributes(machine_code))
+    numbers = {"group_size": np.int64(group_size), "threads": np.int64(threads)}
+    return launch(w, hoisted, **numbers, **cuda.attributes(cubin))

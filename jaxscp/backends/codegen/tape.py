@@ -1,6 +1,6 @@
-"""Operations on numbers, in order and with a place for each: what the compiled sweep runs.
+"""Tapes: scalar operations in order, each with a slot for its result. C++, JAX and CUDA kernels evaluate them.
 
-Places are used again as soon as what is in them has been read for the last time, so that they stay few.
+A slot is used again after the last read of its number, so that slots stay few.
 """
 
 import heapq
@@ -15,64 +15,69 @@ ARITHMETIC = """
 sum difference product reciprocal negative choice multiply_add multiply_subtract
 sqrt sin cos exp log tanh max min abs lt le gt ge eq
 """
-Step = tuple[str, Number, tuple[Number, ...]]  # what is done, what it makes, and from what
-CODES = {name: code for code, name in enumerate(ARITHMETIC.split())}  # as in ``native/tape.h``
+Step = tuple[str, Number, tuple[Number, ...]]  # operation, result, operands
+CODES = {name: code for code, name in enumerate(ARITHMETIC.split())}  # as in integration's ``native/tape.h``
 
 
 class Tape(NamedTuple):
-    """A program for numbers: arguments come first among the places, then parameters, then constants."""
+    """A straight-line program. Slots hold the inputs first, then parameters, constants and results."""
 
     operations: np.ndarray
-    """(operations, 5): code, place of the result, places of up to three operands."""
-    hoisted: int
-    """How many of the operations, the first, depend on no argument."""
+    """(operations, 5): code, slot of the result, slots of up to three operands."""
+    hoisted_count: int
+    """Number of leading operations that depend on no input."""
     parameters: list[tuple[int, int]]
-    """Which they are."""
+    """(array, index) of each parameter; see ``tracing``."""
     constants: np.ndarray
     outputs: np.ndarray
-    """Places of the results."""
-    places: int
+    """Slots of the outputs."""
+    slots: int
 
 
-def record(outputs: Sequence[Number], arguments: int) -> Tape:
-    """Put what leads to these numbers in order."""
-    order, uses = _order(outputs)
+def record(outputs: Sequence[Number], inputs: int) -> Tape:
+    """Tape of an expression graph.
+
+    Args:
+        outputs: nodes whose values are asked for.
+        inputs: number of inputs.
+    """
+    order, uses = _topological_order(outputs)
     varying = _varying(order)
-    order.sort(key=lambda n: n in varying)  # keeps the order of the others
+    order.sort(key=lambda n: n in varying)  # stable
     parameters = [n for n in order if n.kind == "parameter"]
     constants = [n for n in order if n.kind == "constant"]
-    place = {n: n.value for n in order if n.kind == "argument"}
-    place |= {n: arguments + i for i, n in enumerate(parameters + constants)}
+    slot = {n: n.value for n in order if n.kind == "argument"}
+    slot |= {n: inputs + i for i, n in enumerate(parameters + constants)}
     absorbed = _products_to_absorb(order, uses, varying)
-    inside = set(absorbed.values())
-    steps = [_step(n, absorbed.get(n)) for n in order if n.operands and n not in inside]
-    hoisted = sum(n not in varying for _, n, _ in steps)
-    steps = _in_runs(steps[:hoisted]) + _in_runs(steps[hoisted:])
-    kept = {n for n in order if n not in varying or not n.operands} | set(outputs)
+    products = set(absorbed.values())
+    steps = [_step(n, absorbed.get(n)) for n in order if n.operands and n not in products]
+    hoisted_count = sum(n not in varying for _, n, _ in steps)
+    steps = _in_runs(steps[:hoisted_count]) + _in_runs(steps[hoisted_count:])
+    persistent = {n for n in order if n not in varying or not n.operands} | set(outputs)
     last = {v: i for i, (_, _, operands) in enumerate(steps) for v in operands}
     free: list[int] = []
-    top = arguments + len(parameters) + len(constants)
+    top = inputs + len(parameters) + len(constants)
     operations = []
     for i, (kind, number, operands) in enumerate(steps):
-        read = [place[v] for v in operands]
-        free += {place[v] for v in operands if v not in kept and last[v] == i}
-        if i < hoisted or not free:
+        read = [slot[v] for v in operands]
+        free += {slot[v] for v in operands if v not in persistent and last[v] == i}
+        if i < hoisted_count or not free:
             free.append(top)
             top += 1
-        place[number] = free.pop()
-        operations.append([CODES[kind], place[number], *read, *[0] * (3 - len(read))])
+        slot[number] = free.pop()
+        operations.append([CODES[kind], slot[number], *read, *[0] * (3 - len(read))])
     return Tape(
         np.array(operations, np.int32).reshape(-1, 5),
-        hoisted,
+        hoisted_count,
         [n.value for n in parameters],
         np.array([n.value for n in constants], float),
-        np.array([place[n] for n in outputs], np.int32),
+        np.array([slot[n] for n in outputs], np.int32),
         top,
     )
 
 
 def _varying(order: Sequence[Number]) -> set[Number]:
-    """What depends on an argument."""
+    """Nodes that depend on an argument."""
     found: set[Number] = set()
     for n in order:
         if n.kind == "argument" or any(v in found for v in n.operands):
@@ -80,8 +85,8 @@ def _varying(order: Sequence[Number]) -> set[Number]:
     return found
 
 
-def _order(outputs: Sequence[Number]) -> tuple[list[Number], dict[Number, int]]:
-    """Every number after those that it is made of, and how often each is read."""
+def _topological_order(outputs: Sequence[Number]) -> tuple[list[Number], dict[Number, int]]:
+    """Nodes, each after its operands; and the number of reads of each."""
     order: list[Number] = []
     uses: dict[Number, int] = {}
     seen: set[Number] = set()
@@ -104,7 +109,7 @@ def _order(outputs: Sequence[Number]) -> tuple[list[Number], dict[Number, int]]:
 def _products_to_absorb(
     order: Sequence[Number], uses: dict[Number, int], varying: set[Number]
 ) -> dict[Number, Number]:
-    """By sum or difference, the product that it alone reads, which one operation then makes with it."""
+    """For each sum or difference, the product that it alone reads: both become one fused operation."""
     found = {}
     for n in order:
         if n.kind in ("sum", "difference"):
@@ -115,7 +120,7 @@ def _products_to_absorb(
 
 
 def _in_runs(steps: list[Step]) -> list[Step]:
-    """The same, put so that many of one kind follow each other: what is to be done is then looked up less often."""
+    """The same steps, in runs of one operation each: an interpreter then decodes fewer operations."""
     waiting = {n: 0 for _, n, _ in steps}
     readers: dict[Number, list[int]] = {n: [] for n in waiting}
     for i, (_, n, operands) in enumerate(steps):
@@ -140,8 +145,8 @@ def _in_runs(steps: list[Step]) -> list[Step]:
 
 
 def _step(n: Number, product: Number | None) -> Step:
-    """The operation that makes a number, and what it reads."""
+    """Operation, result and operands of a node; fused with a product if there is one."""
     if product is None:
         return n.kind, n, n.operands
-    rest = n.operands[0] if n.operands[1] is product else n.operands[1]
-    return ("multiply_add" if n.kind == "sum" else "multiply_subtract"), n, (*product.operands, rest)
+    addend = n.operands[0] if n.operands[1] is product else n.operands[1]
+    return ("multiply_add" if n.kind == "sum" else "multiply_subtract"), n, (*product.operands, addend)

@@ -1,6 +1,6 @@
-"""From a function of arrays to the operations on numbers that it is made of.
+"""A function of arrays as expression nodes: its jaxpr is interpreted on arrays of nodes.
 
-Its jaxpr is run on arrays of symbols. What depends on none of its arguments is left to JAX, and enters as parameters.
+JAX computes all arrays that depend on none of the function's arguments; they enter the graph as parameters.
 """
 
 import functools
@@ -16,84 +16,98 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxscp.backends.codegen.graph import Graph
+from jaxscp.backends.codegen.primitives import (
+    CALLS,
+    ELEMENTARY,
+    MOVEMENT,
+    PLAIN,
+    REDUCTIONS,
+    CannotTrace,
+    array_of,
+    elementwise,
+)
 
 
-class CannotTrace(Exception):
-    """The function does what is no arithmetic on numbers."""
-
-
-class Known(NamedTuple):
-    """An array that JAX finds, as it depends on no argument, and its elements as parameters where they are numbers."""
+class HoistedArray(NamedTuple):
+    """An array that depends on no argument."""
 
     value: Any
+    """The array, a JAX tracer."""
     elements: np.ndarray | None
+    """Its elements as expression nodes; None if they are not float64."""
 
 
-class Traced(NamedTuple):
-    """A function as operations on numbers."""
+class TracedFunction(NamedTuple):
+    """A function as expression nodes."""
 
     outputs: list[np.ndarray]
-    """Arrays of ``Number``, in the order of the leaves of what it returns."""
-    known: list[Array]
-    """Arrays that its parameters are elements of: the value of one is (array, index)."""
+    """Arrays of ``Number``, in the order of the leaves of the function's result."""
+    hoisted: list[Array]
+    """Arrays whose elements are the parameters: parameter (array, index) is ``hoisted[array].ravel()[index]``."""
 
     def parameters(self, which: Sequence[tuple[int, int]]) -> Float[Array, "parameters"]:
-        """Values of some parameters."""
+        """Values of some parameters, given by (array, index)."""
         begins, total = {}, 0
         for array in dict.fromkeys(array for array, _ in which):
-            begins[array], total = total, total + self.known[array].size
+            begins[array], total = total, total + self.hoisted[array].size
         if not begins:
             return jnp.zeros(0)
-        values = jnp.concatenate([jnp.ravel(self.known[array]) for array in begins])
+        values = jnp.concatenate([jnp.ravel(self.hoisted[array]) for array in begins])
         return values.at[np.array([begins[array] + index for array, index in which])].get(
             mode="promise_in_bounds"
         )
 
 
-def trace(function: Callable[..., Any], *shapes: tuple[int, ...]) -> Traced:
-    """Run a function of float64 arrays of these shapes on symbols.
+def trace(function: Callable[..., Any], *shapes: tuple[int, ...]) -> TracedFunction:
+    """Expression nodes of a function of float64 arrays.
 
-    The arguments' elements are numbered through, one array after the other. Traced arrays that the function closes over
-    become parameters; others are constants.
+    Traced arrays that the function closes over become parameters; others are constants.
+
+    Args:
+        function: function of arrays.
+        shapes: shapes of its arguments, whose elements are numbered through, one array after the other.
 
     Raises:
-        CannotTrace: if it does what is no arithmetic on numbers.
+        CannotTrace: if the function is not arithmetic alone.
     """
     closed = jax.make_jaxpr(function)(*(jax.ShapeDtypeStruct(shape, jnp.float64) for shape in shapes))
-    run = _Run()
+    interpreter = _Interpreter()
     begins = np.cumsum([0, *map(math.prod, shapes)])
     arguments = [
-        run.leaves("argument", range(begin, begin + math.prod(shape)), shape)
+        interpreter.leaves("argument", range(begin, begin + math.prod(shape)), shape)
         for begin, shape in zip(begins, shapes, strict=False)
     ]
-    outputs = [run.lifted(v) for v in run.jaxpr(closed.jaxpr, closed.consts, arguments)]
-    return Traced(outputs, run.known)
+    outputs = [interpreter.nodes(v) for v in interpreter.jaxpr(closed.jaxpr, closed.consts, arguments)]
+    return TracedFunction(outputs, interpreter.hoisted)
 
 
-class _Run:
-    """One run. A value is a NumPy array of ``Number`` or of plain numbers; or ``Known``, or about to be."""
+class _Interpreter:
+    """Interpreter of jaxprs.
+
+    A value is a NumPy array of ``Number`` or of plain numbers, or a ``HoistedArray``.
+    """
 
     def __init__(self) -> None:
         self.graph = Graph()
-        self.known: list[Array] = []
+        self.hoisted: list[Array] = []
 
     def leaves(self, kind: str, values: Iterable[Any], shape: tuple[int, ...]) -> np.ndarray:
-        """An array of arguments, parameters or constants."""
-        return _array([self.graph.leaf(kind, v) for v in values], shape)
+        """Array of arguments, parameters or constants."""
+        return array_of([self.graph.leaf(kind, v) for v in values], shape)
 
-    def given(self, value: Any) -> Any:
-        """What a jaxpr was given or has found, as a value."""
+    def hoist(self, value: Any) -> Any:
+        """``HoistedArray`` of a tracer; other values unchanged."""
         if not isinstance(value, jax.core.Tracer):
             return value
         if value.dtype != jnp.float64:
-            return Known(value, None)
-        self.known.append(value)
-        keys = ((len(self.known) - 1, i) for i in range(value.size))
-        return Known(value, self.leaves("parameter", keys, value.shape))
+            return HoistedArray(value, None)
+        self.hoisted.append(value)
+        keys = ((len(self.hoisted) - 1, i) for i in range(value.size))
+        return HoistedArray(value, self.leaves("parameter", keys, value.shape))
 
-    def lifted(self, value: Any) -> np.ndarray:
+    def nodes(self, value: Any) -> np.ndarray:
         """A value as an array of ``Number``."""
-        if isinstance(value, Known):
+        if isinstance(value, HoistedArray):
             if value.elements is None:
                 raise CannotTrace(f"arithmetic in {value.value.dtype}")
             return value.elements
@@ -104,7 +118,7 @@ class _Run:
 
     def jaxpr(self, jaxpr: Any, consts: Any, arguments: Any) -> list[Any]:
         """Values of a jaxpr's outputs."""
-        values: dict[Any, Any] = dict(zip(jaxpr.constvars, map(self.given, consts), strict=True))
+        values: dict[Any, Any] = dict(zip(jaxpr.constvars, map(self.hoist, consts), strict=True))
         values |= zip(jaxpr.invars, arguments, strict=True)
         read = lambda v: values[v] if _is_variable(v) else v.val  # noqa: E731
         for equation in jaxpr.eqns:
@@ -114,36 +128,36 @@ class _Run:
 
     def equation(self, equation: Any, inputs: list[Any]) -> list[Any]:
         """Values of an equation's outputs."""
-        name, given = equation.primitive.name, equation.params
-        if name in _CALLS:
-            inner = given["jaxpr"] if "jaxpr" in given else given["call_jaxpr"]
+        name, params = equation.primitive.name, equation.params
+        if name in CALLS:
+            inner = params["jaxpr"] if "jaxpr" in params else params["call_jaxpr"]
             return self.jaxpr(getattr(inner, "jaxpr", inner), getattr(inner, "consts", ()), inputs)
-        if not any(isinstance(v, Known) for v in inputs):
+        if not any(isinstance(v, HoistedArray) for v in inputs):
             return self.on_numbers(equation, inputs)
         if any(isinstance(v, np.ndarray) and v.dtype == object for v in inputs):
-            return self.on_numbers(equation, [self.lifted(v) for v in inputs])
-        values = [v.value if isinstance(v, Known) else v for v in inputs]
-        found = equation.primitive.bind(*values, **given)
+            return self.on_numbers(equation, [self.nodes(v) for v in inputs])
+        values = [v.value if isinstance(v, HoistedArray) else v for v in inputs]
+        found = equation.primitive.bind(*values, **params)
         found = found if equation.primitive.multiple_results else [found]
-        try:  # what is found from parameters by arithmetic may be zero, which JAX would not say
-            elements = self.on_numbers(equation, [self.lifted(v) for v in inputs])
+        try:  # arithmetic on nodes finds zeros that a tracer hides
+            elements = self.on_numbers(equation, [self.nodes(v) for v in inputs])
         except CannotTrace:
-            return [self.given(v) for v in found]
-        return [Known(value, numbers) for value, numbers in zip(found, elements, strict=True)]
+            return [self.hoist(v) for v in found]
+        return [HoistedArray(value, numbers) for value, numbers in zip(found, elements, strict=True)]
 
     def on_numbers(self, equation: Any, inputs: list[Any]) -> list[np.ndarray]:
         """Values of an equation's outputs, from arrays of ``Number`` or of plain numbers."""
-        name, given = equation.primitive.name, equation.params
+        name, params = equation.primitive.name, equation.params
         symbolic = any(isinstance(v, np.ndarray) and v.dtype == object for v in inputs)
-        if name in _MOVES:
-            found = _MOVES[name](*map(self.lifted if symbolic else np.asarray, inputs), **given)
+        if name in MOVEMENT:
+            found = MOVEMENT[name](*map(self.nodes if symbolic else np.asarray, inputs), **params)
             return found if equation.primitive.multiple_results else [found]
-        if not symbolic and name in _PLAIN:
-            return [np.asarray(_PLAIN[name](*map(np.asarray, inputs), **given))]
-        return [self.arithmetic(name, given, [self.lifted(v) for v in inputs])]
+        if not symbolic and name in PLAIN:
+            return [np.asarray(PLAIN[name](*map(np.asarray, inputs), **params))]
+        return [self.arithmetic(name, params, [self.nodes(v) for v in inputs])]
 
-    def arithmetic(self, name: str, given: dict, inputs: list[np.ndarray]) -> np.ndarray:
-        """An operation on arrays of ``Number``."""
+    def arithmetic(self, name: str, params: dict, inputs: list[np.ndarray]) -> np.ndarray:
+        """Result of a primitive on arrays of ``Number``."""
         graph = self.graph
         simple = {
             "add": graph.sum,
@@ -158,44 +172,44 @@ class _Run:
         if name == "select_n" and len(inputs) != 3:
             raise CannotTrace(f"a choice among {len(inputs) - 1}")
         if name in simple:
-            return _each(simple[name], *inputs)
-        if name in _KNOWN:
-            return _each(functools.partial(graph.other, name, _KNOWN[name]), *inputs)
+            return elementwise(simple[name], *inputs)
+        if name in ELEMENTARY:
+            return elementwise(functools.partial(graph.other, name, ELEMENTARY[name]), *inputs)
         if name == "integer_pow":
-            return _each(functools.partial(self.power, given["y"]), *inputs)
-        if name in _REDUCTIONS:
-            axes = given["axes"]
-            return self.reduced(_REDUCTIONS[name], np.moveaxis(inputs[0], axes, range(len(axes))), len(axes))
-        if name == "convert_element_type" and given["new_dtype"] == jnp.float64:
+            return elementwise(functools.partial(self.power, params["y"]), *inputs)
+        if name in REDUCTIONS:
+            axes = params["axes"]
+            return self.reduced(REDUCTIONS[name], np.moveaxis(inputs[0], axes, range(len(axes))), len(axes))
+        if name == "convert_element_type" and params["new_dtype"] == jnp.float64:
             return inputs[0]
         if name == "dot_general":
-            return self.dot(given["dimension_numbers"], *inputs)
+            return self.dot(params["dimension_numbers"], *inputs)
         raise CannotTrace(f"the operation {name}")
 
     def power(self, exponent: int, base: Any) -> Any:
-        """A whole power, by repeated products."""
+        """An integer power, by repeated squaring."""
         if exponent < 0:
             return self.graph.quotient(self.graph.leaf("constant", 1.0), self.power(-exponent, base))
         if exponent == 0:
             return self.graph.leaf("constant", 1.0)
         half = self.power(exponent // 2, base)
-        whole = self.graph.product(half, half)
-        return self.graph.product(whole, base) if exponent % 2 else whole
+        even = self.graph.product(half, half)
+        return self.graph.product(even, base) if exponent % 2 else even
 
     def reduced(self, by: str, values: np.ndarray, axes: int) -> np.ndarray:
-        """Sum, or greatest or least, over the leading axes."""
+        """Sum, maximum or minimum over so many leading axes."""
         left = values.shape[axes:]
         if by == "sum":
-            function, found = self.graph.sum, self.lifted(np.zeros(left))
+            function, found = self.graph.sum, self.nodes(np.zeros(left))
         else:
-            function = functools.partial(self.graph.other, by, _KNOWN[by])
-            found = self.lifted(np.full(left, -np.inf if by == "max" else np.inf))
+            function = functools.partial(self.graph.other, by, ELEMENTARY[by])
+            found = self.nodes(np.full(left, -np.inf if by == "max" else np.inf))
         for one in values.reshape(-1, 1, *left):
-            found = _each(function, found, one[0] if left else one)
+            found = elementwise(function, found, one[0] if left else one)
         return found.reshape(left)
 
     def dot(self, dimensions: Any, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """``jax.lax.dot_general``: batch axes, then those of a, then those of b."""
+        """``jax.lax.dot_general``: batch axes, then free axes of a, then free axes of b."""
         (sum_a, sum_b), (batch_a, batch_b) = dimensions
         free_a = [i for i in range(a.ndim) if i not in (*sum_a, *batch_a)]
         free_b = [i for i in range(b.ndim) if i not in (*sum_b, *batch_b)]
@@ -204,102 +218,8 @@ class _Run:
         a = a.reshape(a.shape + (1,) * len(free_b))
         split = len(sum_b) + len(batch_b)
         b = b.reshape(b.shape[:split] + (1,) * len(free_a) + b.shape[split:])
-        return self.reduced("sum", _each(self.graph.product, a, b), len(sum_a))
+        return self.reduced("sum", elementwise(self.graph.product, a, b), len(sum_a))
 
 
 def _is_variable(v: Any) -> bool:
     return not isinstance(v, jax.extend.core.Literal)
-
-
-def _array(items: list[Any], shape: tuple[int, ...]) -> np.ndarray:
-    array = np.empty(len(items), object)
-    array[:] = items
-    return array.reshape(shape)
-
-
-def _each(function: Callable[..., Any], *arrays: np.ndarray) -> np.ndarray:
-    found = np.frompyfunc(function, len(arrays), 1)(*arrays)
-    return found if isinstance(found, np.ndarray) else _array([found], ())
-
-
-def _broadcast(a: np.ndarray, shape: Any, broadcast_dimensions: Any, **_: Any) -> np.ndarray:
-    one = [1] * len(shape)
-    for axis, size in zip(broadcast_dimensions, a.shape, strict=True):
-        one[axis] = size
-    return np.broadcast_to(a.reshape(one), shape)
-
-
-def _slice(a: np.ndarray, start_indices: Any, limit_indices: Any, strides: Any, **_: Any) -> np.ndarray:
-    strides = strides or (1,) * a.ndim
-    return a[tuple(map(slice, start_indices, limit_indices, strides))]
-
-
-def _pad(a: np.ndarray, value: np.ndarray, padding_config: Any, **_: Any) -> np.ndarray:
-    if any(low < 0 or high < 0 for low, high, _ in padding_config):
-        raise CannotTrace("padding by less than nothing")
-    shape = [
-        low + high + size + max(size - 1, 0) * inner
-        for (low, high, inner), size in zip(padding_config, a.shape, strict=True)
-    ]
-    whole = np.broadcast_to(value, shape).copy()
-    where = [
-        slice(low, low + max(size * (inner + 1) - inner, 0), inner + 1)
-        for (low, _, inner), size in zip(padding_config, a.shape, strict=True)
-    ]
-    whole[tuple(where)] = a
-    return whole
-
-
-def _split(a: np.ndarray, sizes: Any, axis: int, **_: Any) -> list[np.ndarray]:
-    return np.split(a, np.cumsum(sizes)[:-1], axis)
-
-
-_REDUCTIONS = {"reduce_sum": "sum", "reduce_max": "max", "reduce_min": "min"}
-_CALLS = ("jit", "pjit", "closed_call", "custom_jvp_call", "custom_vjp_call", "remat", "checkpoint")
-
-# Where numbers go, and not what they become.
-_MOVES: dict[str, Callable[..., Any]] = {
-    "broadcast_in_dim": _broadcast,
-    "concatenate": lambda *a, dimension, **_: np.concatenate(a, dimension),
-    "copy": lambda a, **_: a,
-    "expand_dims": lambda a, dimensions, **_: np.expand_dims(a, dimensions),
-    "pad": _pad,
-    "reshape": lambda a, new_sizes, **_: a.reshape(new_sizes),
-    "rev": lambda a, dimensions, **_: np.flip(a, dimensions),
-    "slice": _slice,
-    "split": _split,
-    "squeeze": lambda a, dimensions, **_: np.squeeze(a, tuple(dimensions)),
-    "stack": lambda *a, axis, **_: np.stack(a, axis),
-    "stop_gradient": lambda a, **_: a,
-    "tile": lambda a, reps, **_: np.tile(a, reps),
-    "transpose": lambda a, permutation, **_: np.transpose(a, permutation),
-    "unstack": lambda a, axis, **_: [np.squeeze(v, axis) for v in np.split(a, a.shape[axis], axis)],
-}
-
-# Of plain numbers, when no symbol is among them: what identity matrices are made of.
-_PLAIN: dict[str, Callable[..., Any]] = {
-    "iota": lambda dtype, shape, dimension, **_: np.broadcast_to(
-        np.arange(shape[dimension]).reshape([-1 if i == dimension else 1 for i in range(len(shape))]), shape
-    ),
-    "add": lambda a, b, **_: np.add(a, b),
-    "eq": lambda a, b, **_: np.equal(a, b),
-    "convert_element_type": lambda a, new_dtype, **_: a.astype(new_dtype),
-}
-
-# Elementary functions, by the names that jaxprs give them.
-_KNOWN: dict[str, Callable[..., Any]] = {
-    "sqrt": math.sqrt,
-    "sin": math.sin,
-    "cos": math.cos,
-    "exp": math.exp,
-    "log": math.log,
-    "tanh": math.tanh,
-    "max": max,
-    "min": min,
-    "abs": abs,
-    "lt": lambda a, b: float(a < b),
-    "le": lambda a, b: float(a <= b),
-    "gt": lambda a, b: float(a > b),
-    "ge": lambda a, b: float(a >= b),
-    "eq": lambda a, b: float(a == b),
-}

@@ -1,5 +1,5 @@
-// Products of matrices of a few dozen rows. A row begins at a multiple of a pack and ends with zeros, so that all
-// of it goes through registers.
+// Products of matrices of a few dozen rows. A row begins at a multiple of a pack and is padded with zeros to whole
+// packs.
 #pragma once
 
 #include <cmath>
@@ -19,13 +19,13 @@ inline void store(Pack v, double* to) { std::memcpy(to, &v, sizeof v); }
 
 struct Matrix {
   double* at = nullptr;
-  int packs = 0;  // of a row
+  int packs = 0;  // packs of a row
 
   int stride() const { return packs * kWidth; }
   double* operator[](int row) const { return at + row * stride(); }
 };
 
-constexpr int kRows = 4, kPacks = 3;  // as many sums as registers hold, and what they need
+constexpr int kRows = 4, kPacks = 3;  // block of sums that fits in the registers, with its operands
 
 namespace rows {
 
@@ -62,45 +62,45 @@ inline void accumulate(int rows, int count, Coefficient a, const Matrix& b, cons
 
 namespace rows {
 
-// In two sums, so that neither waits for its last term.
+// In two sums: each addition waits for the one before in the same sum.
 template <int P>
-inline void add(double times, int count, const double* a, const Matrix& b, double* to, int column) {
+inline void add(double factor, int count, const double* a, const Matrix& b, double* to, int column) {
   Pack even[P], odd[P] = {};
   for (int p = 0; p < P; ++p) even[p] = load(to + column + p * kWidth);
   int k = 0;
   for (; k + 2 <= count; k += 2)
     for (int p = 0; p < P; ++p) {
-      even[p] += all(times * a[k]) * load(b[k] + column + p * kWidth);
-      odd[p] += all(times * a[k + 1]) * load(b[k + 1] + column + p * kWidth);
+      even[p] += all(factor * a[k]) * load(b[k] + column + p * kWidth);
+      odd[p] += all(factor * a[k + 1]) * load(b[k + 1] + column + p * kWidth);
     }
   if (k < count)
-    for (int p = 0; p < P; ++p) even[p] += all(times * a[k]) * load(b[k] + column + p * kWidth);
+    for (int p = 0; p < P; ++p) even[p] += all(factor * a[k]) * load(b[k] + column + p * kWidth);
   for (int p = 0; p < P; ++p) store(even[p] + odd[p], to + column + p * kWidth);
 }
 
 }  // namespace rows
 
-// to += times (sum over k < count of a[k] b[k])
-inline void add_rows(double times, int count, const double* a, const Matrix& b, double* to) {
+// to += factor (sum over k < count of a[k] b[k])
+inline void add_rows(double factor, int count, const double* a, const Matrix& b, double* to) {
   int p = 0;
-  for (; p + kPacks <= b.packs; p += kPacks) rows::add<kPacks>(times, count, a, b, to, p * kWidth);
-  for (; p < b.packs; ++p) rows::add<1>(times, count, a, b, to, p * kWidth);
+  for (; p + kPacks <= b.packs; p += kPacks) rows::add<kPacks>(factor, count, a, b, to, p * kWidth);
+  for (; p < b.packs; ++p) rows::add<1>(factor, count, a, b, to, p * kWidth);
 }
 
-// out[i] = a[i] . x for i < rows; what is behind, to the end of the last register, is lost.
+// out[i] = a[i] . x for i < rows. Overwrites out up to the end of the last pack.
 inline void products(int rows, const Matrix& a, const double* x, double* out) {
   for (int row = 0; row < rows; row += kWidth) {
     Pack sums[kWidth] = {};
     for (int r = 0; r < kWidth && row + r < rows; ++r)
       for (int p = 0; p < a.packs; ++p) sums[r] += load(a[row + r] + p * kWidth) * load(x + p * kWidth);
     transpose(sums);
-    for (int apart = kWidth / 2; apart > 0; apart /= 2)
-      for (int r = 0; r < apart; ++r) sums[r] += sums[r + apart];
+    for (int half = kWidth / 2; half > 0; half /= 2)
+      for (int r = 0; r < half; ++r) sums[r] += sums[r + half];
     store(sums[0], out + row);
   }
 }
 
-// Cholesky's factor of the leading block, in place of its lower triangle; NaN where it is not positive definite.
+// Cholesky factor of the leading block, in its lower triangle; NaN if the block is not positive definite.
 inline void cholesky(int size, const Matrix& a) {
   for (int j = 0; j < size; ++j)
     for (int i = j; i < size; ++i) {

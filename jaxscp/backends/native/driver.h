@@ -1,6 +1,6 @@
-// NVIDIA's driver, for what launches kernels that a call carries with it.
+// NVIDIA's driver, which launches kernels whose cubin is an attribute of an XLA FFI call.
 //
-// It is found when it is first needed, so that what includes this compiles and loads on machines without one.
+// The driver is loaded at first use, so that libraries compile and load on machines without one.
 #pragma once
 
 #include <dlfcn.h>
@@ -24,7 +24,7 @@ namespace jaxscp {
 
 namespace ffi = xla::ffi;
 
-// The few functions of the driver that are needed, by NVIDIA's names and types.
+// Functions of the driver, by NVIDIA's names and types.
 struct Driver {
   int (*cuStreamGetCtx)(CUstream, CUcontext*);
   int (*cuCtxPushCurrent_v2)(CUcontext);
@@ -62,7 +62,7 @@ struct Driver {
   }
 };
 
-// The first failure of the driver, with what was tried, for the sake of a kernel.
+// First failure of the driver for a kernel, and the action that failed.
 struct Failure {
   const char* kernel;
   int code = 0;
@@ -77,7 +77,7 @@ struct Failure {
   }
 };
 
-// A stream's context, as this thread's own as long as this is there.
+// Guard: makes a stream's context current on this thread for the guard's lifetime.
 class Current {
  public:
   Current(const Driver& cuda, CUstream stream, Failure& failure) : cuda_(cuda) {
@@ -97,34 +97,34 @@ class Current {
   bool pushed_;
 };
 
-// Kernels in the memories of GPUs, by context and name.
+// Kernels loaded into GPUs, by context and name.
 template <typename Loaded>
-class Kept {
+class KernelCache {
  public:
   using Key = std::pair<CUcontext, std::string>;
 
-  // Loads it first if need be. That is without the lock, for which another GPU may wait: to load it twice does no harm.
+  // The kernel, loaded at first use. Loading holds no lock, for which other GPUs would wait; loading twice is harmless.
   template <typename Load>
   Loaded get(const Key& key, const Failure& failure, Load load) {
     {
-      std::lock_guard<std::mutex> hold(lock_);
-      if (auto at = kept_.find(key); at != kept_.end()) return at->second;
+      std::lock_guard<std::mutex> guard(lock_);
+      if (auto at = kernels_.find(key); at != kernels_.end()) return at->second;
     }
     const Loaded loaded = load();
-    std::lock_guard<std::mutex> hold(lock_);
-    if (failure.code == 0) kept_.emplace(key, loaded);
+    std::lock_guard<std::mutex> guard(lock_);
+    if (failure.code == 0) kernels_.emplace(key, loaded);
     return loaded;
   }
 
   template <typename Change>
   void change(const Key& key, Change change) {
-    std::lock_guard<std::mutex> hold(lock_);
-    change(kept_[key]);
+    std::lock_guard<std::mutex> guard(lock_);
+    change(kernels_[key]);
   }
 
  private:
   std::mutex lock_;
-  std::map<Key, Loaded> kept_;
+  std::map<Key, Loaded> kernels_;
 };
 
 }  // namespace jaxscp

@@ -1,9 +1,8 @@
-// Places of the chain at once: a Pack is a number of the mathematics, held for several places in one register.
+// SIMD register: a Pack holds one number of the mathematics for several locations, such as nodes or intervals.
 //
-// Every formula of the interior point is the same at every place. Written for a Pack in place of a number, it reads as
-// for one place, and compiles to vector instructions. A Pack is as wide as the machine's registers: of what is wider,
-// compilers take comparisons and permutations apart into single numbers. On a GPU, whose threads are the places
-// (``threads.h``), a Pack is a number.
+// A formula that is the same at every location is written once, for a Pack in place of a number, and compiles to vector
+// instructions. A Pack is as wide as the machine's registers: compilers split comparisons and permutations of wider
+// vectors into scalar code. On a GPU, where each thread takes a location (``threads.h``), a Pack is one number.
 #pragma once
 
 #if !defined(__CUDACC__)
@@ -29,8 +28,8 @@ typedef double Pack;
 typedef bool Mask;
 
 inline Pack all(double v) { return v; }
-// 1 / sqrt(v) and 1 / v to rounding, of what is neither zero nor so large or so small that its inverse is none. Without
-// a way apart for such numbers, which would take as much code again, and keep two roots from being found at once.
+// 1 / sqrt(v) and 1 / v to rounding, for v whose inverse is a normal number. A branch for other numbers would double
+// the code, and would keep two roots from being computed at once.
 #if defined(JAXSCP_EMULATED_GPU)
 inline Pack inverse_root(Pack v) { return v > 0.0 ? 1.0 / sqrt(v) : sqrt(-1.0); }
 inline Pack inverse(Pack v) { return 1.0 / v; }
@@ -58,7 +57,7 @@ inline Pack one_after(Pack, Pack after) { return after; }
 #else
 
 typedef double Pack __attribute__((vector_size(kWidth * sizeof(double))));
-typedef long long Mask __attribute__((vector_size(kWidth * sizeof(long long))));  // of all ones where it holds
+typedef long long Mask __attribute__((vector_size(kWidth * sizeof(long long))));  // all bits set where true
 
 inline Pack all(double v) { return v - Pack{}; }
 inline Pack root(Pack v) {
@@ -71,7 +70,7 @@ inline Pack inverse_root(Pack v) { return 1.0 / root(v); }
 inline double get(const Pack& v, int lane) { return v[lane]; }
 inline void set(Pack& v, int lane, double to) { v[lane] = to; }
 
-// function(0, 1, .. kWidth - 1), all of them constants.
+// function(0, 1, .. kWidth - 1), with constants as arguments.
 template <typename Function>
 inline auto with_lanes(Function function) {
   return [&]<int... kLane>(std::integer_sequence<int, kLane...>) {
@@ -79,12 +78,12 @@ inline auto with_lanes(Function function) {
   }(std::make_integer_sequence<int, kWidth>());
 }
 
-// Which places of a pack are among the first ``count`` of the chain.
+// Whether each location of a pack is among the first ``count``.
 inline Mask within(int pack, int count) {
   return with_lanes([](auto... lane) { return Mask{lane...}; }) < count - pack * kWidth;
 }
 
-// The places one before and one after: of a neighbouring pack at the edge.
+// Neighbours one location before and one after; at the edge, from the neighbouring pack.
 inline Pack one_before(Pack before, Pack here) {
   return with_lanes([&](auto... lane) { return __builtin_shufflevector(before, here, (lane + kWidth - 1)...); });
 }
@@ -92,21 +91,21 @@ inline Pack one_after(Pack here, Pack after) {
   return with_lanes([&](auto... lane) { return __builtin_shufflevector(here, after, (lane + 1)...); });
 }
 
-// Rows become columns: each round deals the rows of the lower half among those of the upper.
+// Transpose in place: each round interleaves the rows of the lower half with those of the upper.
 inline void transpose(Pack (&v)[kWidth]) {
-  const auto deal = [](auto a, auto b, auto from) {
+  const auto interleave = [](auto a, auto b, auto from) {
     return with_lanes([&](auto... lane) {
       return __builtin_shufflevector(a, b, (from + lane / 2 + lane % 2 * kWidth)...);
     });
   };
   for (int round = 1; round < kWidth; round *= 2) {
-    Pack dealt[kWidth];
+    Pack interleaved[kWidth];
     for (int i = 0; i < kWidth / 2; ++i) {
       const Pack a = v[i], b = v[i + kWidth / 2];
-      dealt[2 * i] = deal(a, b, std::integral_constant<int, 0>());
-      dealt[2 * i + 1] = deal(a, b, std::integral_constant<int, kWidth / 2>());
+      interleaved[2 * i] = interleave(a, b, std::integral_constant<int, 0>());
+      interleaved[2 * i + 1] = interleave(a, b, std::integral_constant<int, kWidth / 2>());
     }
-    for (int i = 0; i < kWidth; ++i) v[i] = dealt[i];
+    for (int i = 0; i < kWidth; ++i) v[i] = interleaved[i];
   }
 }
 
@@ -119,9 +118,9 @@ inline Pack magnitude(Pack a) { return a < 0.0 ? -a : a; }
 
 inline bool is_finite(double v) { return v - v == 0.0; }
 
-// Packs for so many places, of which ``together`` are counted at once.
-constexpr int packs_for(int places, int together = kWidth) {
-  return (places + together - 1) / together * (together / kWidth);
+// Packs for so many locations, rounded up to a multiple of ``group_size`` locations.
+constexpr int packs_for(int locations, int group_size = kWidth) {
+  return (locations + group_size - 1) / group_size * (group_size / kWidth);
 }
 
 }  // namespace jaxscp

@@ -1,4 +1,4 @@
-// Whether this machine has the instructions that the library was compiled for.
+// Whether this machine has the instruction set that the library was compiled for.
 
 extern "C" int jaxscp_runs_here() {
 #if JAXSCP_LEVEL == 4 || JAXSCP_LEVEL == 3  // of x86-64

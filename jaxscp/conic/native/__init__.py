@@ -6,7 +6,7 @@ Here a step is a few hundred thousand vector instructions on data that stay in t
 which they build on each other:
 
     team.h threads.h           who does what: phases that the threads of a team, or of a GPU's block, share
-    layout.h arena.h           what lies where, several nodes of the chain in one register (``libraries/pack.h``)
+    layout.h arena.h           what lies where, several nodes of the chain in one register (``backends/native/pack.h``)
     held.h                     what a cone has of a vector, in registers while a GPU works on it
     elimination.h, elimination_by_warp.h    one matrix eliminated, on a CPU and on a GPU
     program.h cones.h scaling.h             the program, its cones and their scaling

@@ -69,7 +69,7 @@ def _kernel(program: StagedProgram) -> bytes | None:
 def kernel(sizes: Sizes, capability: str) -> bytes | None:
     """The kernel for programs of these sizes, as machine code of the GPU; None and a warning if it does not compile."""
     folder = Path(__file__).parent
-    return cuda.machine_code(
+    return cuda.compile_cubin(
         (folder / "kernel.cu").read_text(),
         capability,
         "the interior point",

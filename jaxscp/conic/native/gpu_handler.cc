@@ -52,7 +52,7 @@ ffi::Error solve(CUstream stream, ffi::ScratchAllocator scratch, ffi::RemainingA
                  ffi::Dictionary attrs) {
   auto found = shaped(args, rets, attrs);
   if (!found.has_value()) return found.error();
-  auto image = attrs.get<ffi::Span<const uint8_t>>("image");
+  auto image = attrs.get<ffi::Span<const uint8_t>>("cubin");
   auto name = attrs.get<std::string_view>("name");
   auto blocks = attrs.get<int64_t>("blocks"), threads = attrs.get<int64_t>("threads");
   auto alone = attrs.get<int64_t>("alone");
@@ -66,7 +66,7 @@ ffi::Error solve(CUstream stream, ffi::ScratchAllocator scratch, ffi::RemainingA
   if (failure.code != 0) return failure.error();
   constexpr size_t kCounter = 256;   // bytes, so that what follows is aligned
   constexpr size_t kAlignment = 16;  // XLA promises no more, and gives 256
-  static Kept<Loaded> kept;
+  static KernelCache<Loaded> kept;
   const auto key = std::make_pair(current.context(), std::string(*name));
   const Loaded loaded = kept.get(key, failure, [&] {
     auto number = scratch.Allocate(kCounter, kAlignment);

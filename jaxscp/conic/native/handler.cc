@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "buffers.h"
-#include "spread.h"
+#include "parallel_for.h"
 
 namespace jaxscp {
 namespace {
@@ -92,7 +92,7 @@ ffi::Error solve(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::RemainingRe
   if (batch.lanes == 1) {
     solve_together(pool, batch, Worker::of_thread(found->sizes, batch.settings));
   } else {
-    spread(pool, batch.lanes, [&](int64_t lane) {
+    parallel_for(pool, batch.lanes, [&](int64_t lane) {
       Worker& worker = Worker::of_thread(found->sizes, batch.settings);
       Team alone(1, worker.program.packs);
       seated(alone, 0, [&] { solve_lane(batch, lane, worker.program, worker.scales, worker.solver); });

@@ -1,20 +1,20 @@
-"""The C++ of the pass, as compiled for this machine, and the kernel's for NVIDIA GPUs.
+"""Integration in C++, compiled for this machine, and the text of the CUDA kernel.
 
-In the order in which they build on each other:
+In the order in which the files build on each other:
 
-    tape.h         operations on numbers, for two packs of intervals at once
-    functions.h    a function and its derivatives, as tapes
-    sweep.h        what a pass is told
-    description.h  how it is told it
-    walk.h         the path and what it leads to
-    prices.h       from prices of that to prices of the slopes
-    tangents.h     the Jacobian and the curvature
-    handler.cc     what XLA calls
-    source.py      the text of the kernel, from a tape; ``kernel.py`` compiles it
-    gpu_handler.cc what XLA calls to launch it
+    tape.h              operations on numbers, for two packs of intervals at once
+    functions.h         a function and its derivatives, as tapes
+    interval_problem.h  description of the integration
+    description.h       reader of the description
+    forward.h           path and outputs
+    adjoint.h           adjoints of slopes and points, from the multipliers of the outputs
+    tangents.h          Jacobian, and Hessian of the weighted sum
+    handler.cc          XLA FFI handler on a CPU
+    cuda_source.py      text of the CUDA kernel, from a tape; ``in_cuda.py`` compiles it
+    gpu_handler.cc      XLA FFI handler that launches the kernel
 """
 
 from jaxscp.backends import libraries
 
-LIBRARY = libraries.SWEEP
+LIBRARY = libraries.INTEGRATION
 (TARGET,) = LIBRARY.targets

@@ -1,38 +1,38 @@
-// Reads what a pass is told from two lists of numbers, whole and real, which ``compiled.py`` writes in this order.
+// Reader of an IntervalProblem from two arrays, integers and reals, which ``in_cpp.py`` writes in the same order.
 #pragma once
 
-#include "sweep.h"
+#include "interval_problem.h"
 
 namespace jaxscp {
 
 class Reader {
  public:
-  Reader(const int* whole, const double* real) : whole_(whole), real_(real) {}
+  Reader(const int* integers, const double* reals) : integers_(integers), reals_(reals) {}
 
-  int number() { return *whole_++; }
+  int number() { return *integers_++; }
 
   template <typename T>
-  Several<T> several() {
+  Span<T> span() {
     constexpr int each = sizeof(T) / sizeof(int);
     const int count = number();
-    const T* from = reinterpret_cast<const T*>(whole_);
-    whole_ += count * each;
+    const T* from = reinterpret_cast<const T*>(integers_);
+    integers_ += count * each;
     return {from, count};
   }
 
-  Several<double> reals() {
+  Span<double> real_span() {
     const int count = number();
-    const double* from = real_;
-    real_ += count;
+    const double* from = reals_;
+    reals_ += count;
     return {from, count};
   }
 
   Tape tape() {
     Tape t;
-    t.operations = several<Operation>();
-    t.once = number(), t.places = number(), t.parameters = number();
-    t.constants = reals();
-    t.outputs = several<int>();
+    t.operations = span<Operation>();
+    t.hoisted_count = number(), t.slots = number(), t.parameters = number();
+    t.constants = real_span();
+    t.outputs = span<int>();
     return t;
   }
 
@@ -40,29 +40,30 @@ class Reader {
     Function f;
     f.arguments = number(), f.values = number(), f.data = number();
     f.first = tape(), f.second = tape();
-    f.jacobian = several<Coordinates>(), f.hessian = several<Coordinates>();
+    f.jacobian = span<Coordinates>(), f.hessian = span<Coordinates>();
     return f;
   }
 
  private:
-  const int* whole_;
-  const double* real_;
+  const int* integers_;
+  const double* reals_;
 };
 
-inline Sweep described(const int* whole, const double* real) {
-  Reader read(whole, real);
-  Sweep s;
-  s.order = read.number();
-  s.states = read.number(), s.controls = read.number(), s.steps = read.number(), s.every = read.number();
-  s.shares = read.reals(), s.weights = read.reals(), s.table = read.reals();
-  s.first = read.several<int>();
-  s.rate = read.function(), s.point = read.function(), s.ends = read.function();
-  s.blocks.resize(read.number());
-  for (Block& block : s.blocks) {
-    block.rows = read.number(), block.together = read.number();
-    block.less_margin = read.function();
+inline IntervalProblem read_problem(const int* integers, const double* reals) {
+  Reader read(integers, reals);
+  IntervalProblem p;
+  p.order = read.number();
+  p.states = read.number(), p.controls = read.number();
+  p.steps = read.number(), p.steps_per_subinterval = read.number();
+  p.c = read.real_span(), p.b = read.real_span(), p.a = read.real_span();
+  p.first = read.span<int>();
+  p.rate = read.function(), p.point = read.function(), p.ends = read.function();
+  p.groups.resize(read.number());
+  for (OutputGroup& group : p.groups) {
+    group.rows = read.number(), group.group_size = read.number();
+    group.subtract_margin = read.function();
   }
-  return s;
+  return p;
 }
 
 }  // namespace jaxscp

@@ -1,13 +1,13 @@
-// Functions and entries of their derivatives as tapes (``functions.py``), with the numbers of two packs of intervals.
+// Functions and their derivatives as tapes (``functions.py``), and the numbers of two packs of intervals.
 #pragma once
 
-#include "memory.h"
 #include "tape.h"
+#include "workspace.h"
 
 namespace jaxscp {
 
 template <typename T>
-struct Several {
+struct Span {
   const T* data = nullptr;
   int count = 0;
   const T* begin() const { return data; }
@@ -19,49 +19,49 @@ struct Coordinates {
   int row, column;
 };
 
-// Places: what goes in, then parameters, then constants, then what is made.
+// Slots hold inputs, then parameters, then constants, then results.
 struct Tape {
-  Several<Operation> operations;
-  int once = 0, places = 0, parameters = 0;
-  Several<double> constants;
-  Several<int> outputs;
+  Span<Operation> operations;
+  int hoisted_count = 0, slots = 0, parameters = 0;
+  Span<double> constants;
+  Span<int> outputs;
 };
 
-// What goes in: arguments, then a price of every value, then data, which have no derivatives.
+// Inputs: arguments, then a multiplier of every value, then data, which have no derivatives.
 struct Function {
   int arguments = 0, values = 0, data = 0;
-  Tape first, second;              // the values, then entries of their Jacobian; entries of the priced sum's Hessian
-  Several<Coordinates> jacobian, hessian;  // where these are; of the latter the lower triangle
+  Tape first, second;                   // values, then Jacobian; Hessian of the weighted sum
+  Span<Coordinates> jacobian, hessian;  // positions of their entries; of the Hessian, the lower triangle
 
-  // Places.
-  int prices() const { return arguments; }
-  int given() const { return arguments + values; }
+  // Slots.
+  int multipliers_begin() const { return arguments; }
+  int data_begin() const { return arguments + values; }
   int inputs() const { return arguments + values + data; }
 };
 
-using Memory = MemoryOf<Wide>;
+using Workspace = WorkspaceOf<Wide>;
 
-class Player {
+class TapeEvaluator {
  public:
-  Player(const Tape& tape, int inputs, Memory& memory)
-      : tape_(tape), inputs_(inputs), places_(memory.take(tape.places)) {}
+  TapeEvaluator(const Tape& tape, int inputs, Workspace& workspace)
+      : tape_(tape), inputs_(inputs), slots_(workspace.take(tape.slots)) {}
 
-  Wide* inputs() { return places_; }
-  Wide* parameters() { return places_ + inputs_; }
+  Wide* inputs() { return slots_; }
+  Wide* parameters() { return slots_ + inputs_; }
   int parameter_count() const { return tape_.parameters; }
 
-  // When data and parameters are there.
+  // Evaluates hoisted operations; data and parameters must have been written.
   void begin() {
-    for (int i = 0; i < tape_.constants.count; ++i) places_[inputs_ + tape_.parameters + i] = wide(tape_.constants[i]);
-    jaxscp::play(tape_.operations.begin(), tape_.operations.begin() + tape_.once, places_);
+    for (int i = 0; i < tape_.constants.count; ++i) slots_[inputs_ + tape_.parameters + i] = wide(tape_.constants[i]);
+    jaxscp::evaluate(tape_.operations.begin(), tape_.operations.begin() + tape_.hoisted_count, slots_);
   }
-  void play() { jaxscp::play(tape_.operations.begin() + tape_.once, tape_.operations.end(), places_); }
-  const Wide& output(int i) const { return places_[tape_.outputs[i]]; }
+  void evaluate() { jaxscp::evaluate(tape_.operations.begin() + tape_.hoisted_count, tape_.operations.end(), slots_); }
+  const Wide& output(int i) const { return slots_[tape_.outputs[i]]; }
 
  private:
   const Tape& tape_;
   int inputs_;
-  Wide* places_;
+  Wide* slots_;
 };
 
 }  // namespace jaxscp

@@ -1,27 +1,27 @@
-// What XLA calls on a CPU: sweeps the intervals of a batch of flights, two packs at once, shared among its threads.
+// XLA FFI handler on a CPU: integrates the intervals of a batch, two packs at once, on XLA's threads.
 
 #include <cstring>
 
 #include "description.h"
-#include "spread.h"
+#include "parallel_for.h"
 #include "tangents.h"
 
 namespace jaxscp {
 namespace {
 
-// The arrays that XLA passes, interval after interval; ``intervals`` of a flight share its parameters.
+// Arrays from XLA, one row for each interval; ``intervals`` intervals of one element of the batch share parameters.
 struct Arrays {
-  const double *w, *parameters, *data, *prices;
-  double *outcomes, *jacobian, *curvature;
+  const double *w, *parameters, *data, *multipliers;
+  double *outputs, *jacobian, *hessian;
   int64_t count, intervals;
 };
 
-// Rows of two packs of intervals, from the first of them on.
-class Lanes {
+// Rows of the kLanes intervals that two packs hold.
+class PackedIntervals {
  public:
-  Lanes(const Arrays& at, int64_t pack) : at_(at), begin_(pack * kLanes) {}
+  PackedIntervals(const Arrays& at, int64_t pack) : at_(at), begin_(pack * kLanes) {}
 
-  // A pack of numbers of as many intervals at a time, which are rows in one place and columns in the other.
+  // Transposes blocks of kWidth numbers of kWidth intervals: XLA stores intervals as rows, packs hold them as columns.
   void read(const double* from, int width, Wide* to) const {
     int i = 0;
     for (; i + kWidth <= width; i += kWidth)
@@ -37,26 +37,26 @@ class Lanes {
   }
 
   void write(const Wide* from, int width, double* to) const {
-    const int lanes = static_cast<int>(std::min<int64_t>(kLanes, at_.count - begin_));
+    const int count = static_cast<int>(std::min<int64_t>(kLanes, at_.count - begin_));
     double* const first = to + begin_ * width;
     int i = 0;
     for (; i + kWidth <= width; i += kWidth)
-      for (int half = 0; half < lanes; half += kWidth) {
+      for (int half = 0; half < count; half += kWidth) {
         Pack v[kWidth];
         for (int k = 0; k < kWidth; ++k) v[k] = half ? from[i + k].high : from[i + k].low;
         transpose(v);
-        for (int lane = 0; lane < std::min(kWidth, lanes - half); ++lane)
+        for (int lane = 0; lane < std::min(kWidth, count - half); ++lane)
           std::memcpy(first + (half + lane) * width + i, &v[lane], sizeof v[lane]);
       }
     for (; i < width; ++i)
-      for (int lane = 0; lane < lanes; ++lane) first[lane * width + i] = get(from[i], lane);
+      for (int lane = 0; lane < count; ++lane) first[lane * width + i] = get(from[i], lane);
   }
 
-  // Parameters of a flight, tape after tape; the last interval's serve the lanes behind it too.
-  void read_parameters(const std::vector<Player*>& tapes, int width) const {
+  // Parameters of each interval, tape after tape; lanes beyond the last interval repeat those of the last.
+  void read_parameters(const std::vector<TapeEvaluator*>& tapes, int width) const {
     for (int lane = 0; lane < kLanes; ++lane) {
       const double* from = at_.parameters + interval(lane) / at_.intervals * width;
-      for (Player* tape : tapes)
+      for (TapeEvaluator* tape : tapes)
         for (int i = 0; i < tape->parameter_count(); ++i) set(tape->parameters()[i], lane, *from++);
     }
   }
@@ -68,50 +68,50 @@ class Lanes {
   int64_t begin_;
 };
 
-void sweep_pack(const Sweep& s, const Arrays& at, int64_t pack, Memory& memory) {
-  memory.again();
-  Walk walk(s, memory);
-  Prices prices(s, walk, memory);
-  Tangents tangents(s, walk, prices, memory);
-  const Lanes lanes(at, pack);
-  std::vector<Player*> tapes;
-  auto note = [&](Player& tape) { tapes.push_back(&tape); };
-  walk.tapes().for_all(note), tangents.tapes().for_all(note);
+void integrate_pack(const IntervalProblem& p, const Arrays& at, int64_t pack, Workspace& workspace) {
+  workspace.reset();
+  Forward forward(p, workspace);
+  Adjoint adjoint(p, forward, workspace);
+  Tangents tangents(p, forward, adjoint, workspace);
+  const PackedIntervals packed(at, pack);
+  std::vector<TapeEvaluator*> tapes;
+  auto note = [&](TapeEvaluator& tape) { tapes.push_back(&tape); };
+  forward.tapes().for_all(note), tangents.tapes().for_all(note);
   int width = 0;
-  for (Player* tape : tapes) width += tape->parameter_count();
-  lanes.read(at.w, s.inputs(), walk.w());
-  lanes.read(at.data, s.data(), walk.data());
-  lanes.read_parameters(tapes, width);
-  walk.run();
-  lanes.write(walk.outcomes(), s.outcomes(), at.outcomes);
-  if (s.order == 0) return;
-  if (s.order == 2) {
-    lanes.read(at.prices, s.outcomes(), prices.outcomes());
-    prices.run();
+  for (TapeEvaluator* tape : tapes) width += tape->parameter_count();
+  packed.read(at.w, p.inputs(), forward.w());
+  packed.read(at.data, p.data(), forward.data());
+  packed.read_parameters(tapes, width);
+  forward.run();
+  packed.write(forward.outputs(), p.outputs(), at.outputs);
+  if (p.order == 0) return;
+  if (p.order == 2) {
+    packed.read(at.multipliers, p.outputs(), adjoint.multipliers());
+    adjoint.run();
   }
   tangents.run();
-  lanes.write(tangents.outcomes(), s.outcomes() * s.inputs(), at.jacobian);
-  if (s.order == 2) lanes.write(tangents.curvature(), s.inputs() * s.inputs(), at.curvature);
+  packed.write(tangents.outputs(), p.outputs() * p.inputs(), at.jacobian);
+  if (p.order == 2) packed.write(tangents.hessian(), p.inputs() * p.inputs(), at.hessian);
 }
 
-ffi::Error sweep(ffi::ThreadPool pool, ffi::Span<const int32_t> whole, ffi::Span<const double> real,
-                 ffi::RemainingArgs args, ffi::RemainingRets rets) {
-  const Sweep s = described(whole.begin(), real.begin());
-  if (s.stages() > kMaxStages) return ffi::Error::InvalidArgument("the Runge-Kutta method has too many stages");
-  if (args.size() != (s.order == 2 ? 4u : 3u) || rets.size() != 1u + s.order)
-    return ffi::Error::InvalidArgument("the sweep lacks an array");
-  auto given = [&](size_t i) { return args.get<ffi::AnyBuffer>(i)->typed_data<double>(); };
-  auto found = [&](size_t i) { return (*rets.get<ffi::AnyBuffer>(i))->typed_data<double>(); };
+ffi::Error integrate(ffi::ThreadPool pool, ffi::Span<const int32_t> integers, ffi::Span<const double> reals,
+                     ffi::RemainingArgs args, ffi::RemainingRets rets) {
+  const IntervalProblem p = read_problem(integers.begin(), reals.begin());
+  if (p.stages() > kMaxStages) return ffi::Error::InvalidArgument("the Runge-Kutta method has too many stages");
+  if (args.size() != (p.order == 2 ? 4u : 3u) || rets.size() != 1u + p.order)
+    return ffi::Error::InvalidArgument("the integration lacks an array");
+  auto argument = [&](size_t i) { return args.get<ffi::AnyBuffer>(i)->typed_data<double>(); };
+  auto result = [&](size_t i) { return (*rets.get<ffi::AnyBuffer>(i))->typed_data<double>(); };
   const auto w = *args.get<ffi::AnyBuffer>(0);
   Arrays at{};
-  at.intervals = w.dimensions()[w.dimensions().size() - 2], at.count = w.element_count() / s.inputs();
-  at.w = given(0), at.parameters = given(1), at.data = given(2), at.outcomes = found(0);
-  if (s.order > 0) at.jacobian = found(1);
-  if (s.order > 1) at.prices = given(3), at.curvature = found(2);
+  at.intervals = w.dimensions()[w.dimensions().size() - 2], at.count = w.element_count() / p.inputs();
+  at.w = argument(0), at.parameters = argument(1), at.data = argument(2), at.outputs = result(0);
+  if (p.order > 0) at.jacobian = result(1);
+  if (p.order > 1) at.multipliers = argument(3), at.hessian = result(2);
   const int64_t packs = (at.count + kLanes - 1) / kLanes;
-  spread(pool, packs, [&](int64_t pack) {
-    thread_local Memory memory;  // to find it anew takes as long as half a sweep
-    sweep_pack(s, at, pack, memory);
+  parallel_for(pool, packs, [&](int64_t pack) {
+    thread_local Workspace workspace;  // allocation takes half as long as the integration
+    integrate_pack(p, at, pack, workspace);
   });
   return ffi::Error::Success();
 }
@@ -119,10 +119,10 @@ ffi::Error sweep(ffi::ThreadPool pool, ffi::Span<const int32_t> whole, ffi::Span
 }  // namespace
 }  // namespace jaxscp
 
-XLA_FFI_DEFINE_HANDLER_SYMBOL(jaxscp_sweep, jaxscp::sweep,
+XLA_FFI_DEFINE_HANDLER_SYMBOL(jaxscp_integrate, jaxscp::integrate,
                               xla::ffi::Ffi::Bind()
                                   .Ctx<xla::ffi::ThreadPool>()
-                                  .Attr<xla::ffi::Span<const int32_t>>("whole")
-                                  .Attr<xla::ffi::Span<const double>>("real")
+                                  .Attr<xla::ffi::Span<const int32_t>>("integers")
+                                  .Attr<xla::ffi::Span<const double>>("reals")
                                   .RemainingArgs()
                                   .RemainingRets());

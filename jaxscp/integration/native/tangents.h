@@ -1,14 +1,14 @@
-// The path's tangents and the outcomes' Jacobian, row by row; and the curvature of the priced sum, which is the sum of
-// S' H S over all functions that the outcomes are made of: S are the tangents of its arguments, H its Hessian.
+// Tangents of the path and Jacobian of the outputs, row by row; and the Hessian of the outputs' weighted sum: the sum
+// of S' H S over all functions, with S the tangents of a function's arguments and H the Hessian of its weighted sum.
 //
-// A row is kept from its first entry that may not be zero.
+// A row is stored from its first entry that may differ from zero.
 #pragma once
 
-#include "prices.h"
+#include "adjoint.h"
 
 namespace jaxscp {
 
-// act(column, how many from there on), of a row from ``first``: four at once, as many as registers hold sums of.
+// act(column, count) over the columns of a row from ``first``: four at once, as registers hold four sums.
 template <typename Act>
 inline void for_columns(int first, int size, Act act) {
   int c = first;
@@ -36,66 +36,68 @@ inline void combine(const Term* terms, int count, int first, int size, Wide* to)
   });
 }
 
-// Sum of S' H S, by entries of H. What concerns a control is in rows of the two inputs whose share it is; what concerns
-// states alone is summed in the upper triangle.
-class Curvature {
+// Sum of S' H S, by entries of H. Terms of a control are stored in rows of the two inputs that interpolate the control;
+// terms of states alone are summed in the upper triangle.
+class HessianSum {
  public:
-  Curvature(const Sweep& s, Memory& memory)
-      : s_(s), size_(s.inputs()), upper_(memory.take(size_ * size_)), of_controls_(memory.take(2 * s.controls * size_)),
-        turned_(memory.take(most_rows(s) * size_)), terms_(most_rows(s)) {}
+  HessianSum(const IntervalProblem& p, Workspace& workspace)
+      : p_(p), size_(p.inputs()), upper_(workspace.take(size_ * size_)),
+        of_controls_(workspace.take(2 * p.controls * size_)), product_(workspace.take(most_rows(p) * size_)),
+        terms_(most_rows(p)) {}
 
   void begin() {
     std::fill_n(upper_, size_ * size_, wide(0.0));
-    std::fill_n(of_controls_, 2 * s_.controls * size_, wide(0.0));
+    std::fill_n(of_controls_, 2 * p_.controls * size_, wide(0.0));
   }
 
-  // Of (state, controls) at a share of the interval, ``tangent`` being the states' rows.
-  void add(const Several<Coordinates>& hessian, const Player& entries, const Wide* tangent, double share) {
-    const int n = s_.states;
+  // Adds a function of (state, controls) at a fraction of the interval; ``tangent`` holds the states' rows.
+  void add(const Span<Coordinates>& hessian, const TapeEvaluator& entries, const Wide* tangent, double fraction) {
+    const int n = p_.states;
     for (auto& terms : terms_) terms.clear();
-    auto row = [&](int r) { return Term{nullptr, tangent + r * size_, s_.first[r]}; };
+    auto row = [&](int r) { return Term{nullptr, tangent + r * size_, p_.first[r]}; };
     auto note = [&](int r, int k, int i) { terms_[r].push_back({&entries.output(i), row(k).row, row(k).first}); };
     for (int i = 0; i < hessian.count; ++i) {
       const auto [r, k] = hessian[i];  // r >= k, so that r is the control if there is one
       if (k < n) note(r, k, i);
       if (r < n && r != k) note(k, r, i);
     }
-    turn(s_.arguments());
+    multiply(p_.arguments());
     for (int i = 0; i < hessian.count; ++i) {
       const auto [r, k] = hessian[i];
       if (k < n) continue;
       const Wide half = r == k ? 0.5 * entries.output(i) : entries.output(i);
-      turned_[r * size_ + k] += (1.0 - share) * half;
-      turned_[r * size_ + k + s_.controls] += share * half;
+      product_[r * size_ + k] += (1.0 - fraction) * half;
+      product_[r * size_ + k + p_.controls] += fraction * half;
     }
     outer(n, row);
-    for (int r = n; r < s_.arguments(); ++r) {
-      const Wide* turned = turned_ + r * size_;
-      Wide *first = of_controls_ + (r - n) * size_, *last = first + s_.controls * size_;
-      for (int c = 0; c < size_; ++c) first[c] += (1.0 - share) * turned[c], last[c] += share * turned[c];
+    for (int r = n; r < p_.arguments(); ++r) {
+      const Wide* product = product_ + r * size_;
+      Wide *first = of_controls_ + (r - n) * size_, *last = first + p_.controls * size_;
+      for (int c = 0; c < size_; ++c) first[c] += (1.0 - fraction) * product[c], last[c] += fraction * product[c];
     }
   }
 
-  // Of arguments that have a row each.
+  // Adds a function of arguments that have a row each.
   template <typename Row>
-  void add(const Several<Coordinates>& hessian, const Player& entries, int arguments, Row tangent) {
+  void add(const Span<Coordinates>& hessian, const TapeEvaluator& entries, int arguments, Row tangent) {
     for (auto& terms : terms_) terms.clear();
     for (int i = 0; i < hessian.count; ++i) {
       const auto [r, k] = hessian[i];
       terms_[r].push_back({&entries.output(i), tangent(k)});
       if (r != k) terms_[k].push_back({&entries.output(i), tangent(r)});
     }
-    turn(arguments);
+    multiply(arguments);
     outer(arguments, [&](int r) { return Term{nullptr, tangent(r)}; });
   }
 
-  // Of the inputs themselves.
-  void add(const Several<Coordinates>& hessian, const Player& entries) {
+  // Adds a function of the inputs.
+  void add(const Span<Coordinates>& hessian, const TapeEvaluator& entries) {
     for (int i = 0; i < hessian.count; ++i) upper_[hessian[i].column * size_ + hessian[i].row] += entries.output(i);
   }
 
-  const Wide* whole() {
-    const int n = s_.states;
+  // The full matrix.
+  const Wide* assembled() {
+    const int n = p_.states;
     for (int i = n; i < size_; ++i)
       for (int c = 0; c < size_; ++c) upper_[std::min(i, c) * size_ + std::max(i, c)] += of_control(i, c);
     for (int i = n; i < size_; ++i) upper_[i * size_ + i] += of_control(i, i);
@@ -105,109 +107,110 @@ class Curvature {
   }
 
  private:
-  static int most_rows(const Sweep& s) {
-    int rows = s.arguments();
-    for (const Block& block : s.blocks) rows = std::max(rows, block.less_margin.arguments);
+  static int most_rows(const IntervalProblem& p) {
+    int rows = p.arguments();
+    for (const OutputGroup& group : p.groups) rows = std::max(rows, group.subtract_margin.arguments);
     return rows;
   }
 
-  const Wide& of_control(int i, int c) const { return of_controls_[(i - s_.states) * size_ + c]; }
+  const Wide& of_control(int i, int c) const { return of_controls_[(i - p_.states) * size_ + c]; }
 
-  // H S, for the first rows of H.
-  void turn(int rows) {
+  // product = H S, for the first rows of H.
+  void multiply(int rows) {
     for (int r = 0; r < rows; ++r) {
       int first = size_;
       for (const Term& term : terms_[r]) first = std::min(first, term.first);
-      std::fill_n(turned_ + r * size_, first, wide(0.0));
-      combine<false>(terms_[r].data(), static_cast<int>(terms_[r].size()), first, size_, turned_ + r * size_);
+      std::fill_n(product_ + r * size_, first, wide(0.0));
+      combine<false>(terms_[r].data(), static_cast<int>(terms_[r].size()), first, size_, product_ + r * size_);
     }
   }
 
-  // upper += S' (H S), of the first rows of H; row(r) of S.
+  // upper += S' (H S), for the first rows of H; row(r) is a row of S.
   template <typename Row>
   void outer(int rows, Row row) {
     for (int i = 0; i < size_; ++i) {
       of_row_.clear();
       for (int r = 0; r < rows; ++r)
-        if (!terms_[r].empty() && i >= row(r).first) of_row_.push_back({row(r).row + i, turned_ + r * size_});
+        if (!terms_[r].empty() && i >= row(r).first) of_row_.push_back({row(r).row + i, product_ + r * size_});
       if (!of_row_.empty())
         combine<true>(of_row_.data(), static_cast<int>(of_row_.size()), i, size_, upper_ + i * size_);
     }
   }
 
-  const Sweep& s_;
+  const IntervalProblem& p_;
   int size_;
-  Wide *upper_, *of_controls_, *turned_;
+  Wide *upper_, *of_controls_, *product_;
   std::vector<std::vector<Term>> terms_;  // by row of H
   std::vector<Term> of_row_;
 };
 
 class Tangents {
  public:
-  Tangents(const Sweep& s, const Walk& walk, const Prices& prices, Memory& memory)
-      : s_(s), walk_(walk), prices_(prices), size_(s.inputs()), tapes_(s, &Function::second, memory),
-        path_(memory.take(s.extended() * size_)), moved_(memory.take(s.states * size_)),
-        pushed_(memory.take(s.stages() * s.extended() * size_)),
-        values_(memory.take(s.points() * s.point.values * size_)),
-        outcomes_(memory.take(s.outcomes() * size_)), curvature_(s, memory) {}
+  Tangents(const IntervalProblem& p, const Forward& forward, const Adjoint& adjoint, Workspace& workspace)
+      : p_(p), forward_(forward), adjoint_(adjoint), size_(p.inputs()), tapes_(p, &Function::second, workspace),
+        path_(workspace.take(p.extended() * size_)), stage_tangent_(workspace.take(p.states * size_)),
+        slope_tangents_(workspace.take(p.stages() * p.extended() * size_)),
+        values_(workspace.take(p.points() * p.point.values * size_)),
+        outputs_(workspace.take(p.outputs() * size_)), hessian_(p, workspace) {}
 
   Tapes& tapes() { return tapes_; }
 
   void run() {
     begin();
-    look(0);
-    for (int step = 0; step < s_.steps; ++step) {
-      for (int stage = 0; stage < s_.stages(); ++stage) slope(step, stage);
-      advance(s_.weights.data, s_.stages(), s_.extended(), path_);
-      if ((step + 1) % s_.every == 0) look((step + 1) / s_.every);
+    evaluate_point(0);
+    for (int step = 0; step < p_.steps; ++step) {
+      for (int stage = 0; stage < p_.stages(); ++stage) evaluate_stage(step, stage);
+      advance(p_.b.data, p_.stages(), p_.extended(), path_);
+      if ((step + 1) % p_.steps_per_subinterval == 0) evaluate_point((step + 1) / p_.steps_per_subinterval);
     }
-    std::copy_n(path_, s_.extended() * size_, outcomes_);
-    keep_margins();
+    std::copy_n(path_, p_.extended() * size_, outputs_);
+    subtract_margins();
     ends();
   }
 
-  const Wide* outcomes() const { return outcomes_; }
-  const Wide* curvature() { return curvature_.whole(); }
+  const Wide* outputs() const { return outputs_; }
+  const Wide* hessian() { return hessian_.assembled(); }
 
  private:
-  bool curved() const { return s_.order == 2; }
+  bool second_order() const { return p_.order == 2; }
 
   void begin() {
-    for (int r = 0; r < s_.extended(); ++r) std::fill_n(path_ + r * size_, size_, wide(0.0));
-    for (int r = 0; r < s_.states; ++r) std::fill_n(moved_ + r * size_, s_.first[r], wide(0.0));
-    for (int r = 0; r < s_.states; ++r) path_[r * size_ + r] = wide(1.0);
-    std::fill_n(outcomes_ + s_.of_ends() * size_, s_.ends.values * size_, wide(0.0));
-    if (!curved()) return;
-    curvature_.begin();
-    tapes_.begin(walk_.data());
+    for (int r = 0; r < p_.extended(); ++r) std::fill_n(path_ + r * size_, size_, wide(0.0));
+    for (int r = 0; r < p_.states; ++r) std::fill_n(stage_tangent_ + r * size_, p_.first[r], wide(0.0));
+    for (int r = 0; r < p_.states; ++r) path_[r * size_ + r] = wide(1.0);
+    std::fill_n(outputs_ + p_.ends_begin() * size_, p_.ends.values * size_, wide(0.0));
+    if (!second_order()) return;
+    hessian_.begin();
+    tapes_.begin(forward_.data());
   }
 
-  void slope(int step, int stage) {
-    const int slope = step * s_.stages() + stage;
-    const double share = s_.share(step, stage);
-    advance(s_.table.data + stage * s_.stages(), stage, s_.states, moved_);
-    Wide* pushed = pushed_ + stage * s_.extended() * size_;
-    auto first = [&](int r) { return s_.first[r]; };
-    push(s_.rate.jacobian, walk_.rate_entries(slope), moved_, share, s_.extended(), first, pushed);
-    if (!curved()) return;
-    std::copy_n(walk_.rate_arguments(slope), s_.arguments(), tapes_.rate.inputs());
-    std::copy_n(prices_.slopes(slope), s_.extended(), tapes_.rate.inputs() + s_.rate.prices());
-    tapes_.rate.play();
-    curvature_.add(s_.rate.hessian, tapes_.rate, moved_, share);
+  void evaluate_stage(int step, int stage) {
+    const int slope = step * p_.stages() + stage;
+    const double fraction = p_.fraction(step, stage);
+    advance(p_.a.data + stage * p_.stages(), stage, p_.states, stage_tangent_);
+    Wide* slope_tangent = slope_tangents_ + stage * p_.extended() * size_;
+    auto first = [&](int r) { return p_.first[r]; };
+    jacobian_product(p_.rate.jacobian, forward_.rate_entries(slope), stage_tangent_, fraction, p_.extended(), first,
+                     slope_tangent);
+    if (!second_order()) return;
+    std::copy_n(forward_.rate_arguments(slope), p_.arguments(), tapes_.rate.inputs());
+    std::copy_n(adjoint_.slopes(slope), p_.extended(), tapes_.rate.inputs() + p_.rate.multipliers_begin());
+    tapes_.rate.evaluate();
+    hessian_.add(p_.rate.hessian, tapes_.rate, stage_tangent_, fraction);
   }
 
-  // to = path + so many slopes of these weights, for the first ``rows``.
+  // to = path + h sum_i weights_i slope_tangents_i, for the first ``rows``.
   void advance(const double* weights, int count, int rows, Wide* to) const {
     double scaled[kMaxStages];
     const Wide* from[kMaxStages];
     int number = 0;
     for (int i = 0; i < count; ++i)
       if (weights[i] != 0.0) {
-        from[number] = pushed_ + i * s_.extended() * size_;
-        scaled[number++] = weights[i] / s_.steps;
+        from[number] = slope_tangents_ + i * p_.extended() * size_;
+        scaled[number++] = weights[i] / p_.steps;
       }
     for (int r = 0; r < rows; ++r)
-      for_columns(s_.first[r], size_, [&](int column, auto some) {
+      for_columns(p_.first[r], size_, [&](int column, auto some) {
         const int c = r * size_ + column;
         Wide sum[some];
         for (int q = 0; q < some; ++q) sum[q] = path_[c + q];
@@ -217,77 +220,77 @@ class Tangents {
       });
   }
 
-  void look(int point) {
-    Wide* to = values_ + point * s_.point.values * size_;
-    const double share = s_.share(point);
-    push(s_.point.jacobian, walk_.point_entries(point), path_, share, s_.point.values, [](int) { return 0; }, to);
-    if (!curved()) return;
-    std::copy_n(walk_.point_arguments(point), s_.arguments(), tapes_.point.inputs());
-    std::copy_n(prices_.values(point), s_.point.values, tapes_.point.inputs() + s_.point.prices());
-    tapes_.point.play();
-    curvature_.add(s_.point.hessian, tapes_.point, path_, share);
+  void evaluate_point(int point) {
+    Wide* to = values_ + point * p_.point.values * size_;
+    const double fraction = p_.fraction(point);
+    auto first = [](int) { return 0; };
+    jacobian_product(p_.point.jacobian, forward_.point_entries(point), path_, fraction, p_.point.values, first, to);
+    if (!second_order()) return;
+    std::copy_n(forward_.point_arguments(point), p_.arguments(), tapes_.point.inputs());
+    std::copy_n(adjoint_.values(point), p_.point.values, tapes_.point.inputs() + p_.point.multipliers_begin());
+    tapes_.point.evaluate();
+    hessian_.add(p_.point.hessian, tapes_.point, path_, fraction);
   }
 
-  // to = Jacobian tangents, row by row from its first column; of arguments (state, controls), of which a control is a
-  // share of two inputs.
+  // to = J S, row by row from its first column; of arguments (state, controls), where two inputs interpolate a control.
   template <typename First>
-  void push(const Several<Coordinates>& jacobian, const Wide* entry, const Wide* tangent, double share, int rows,
-            First first, Wide* to) {
+  void jacobian_product(const Span<Coordinates>& jacobian, const Wide* entry, const Wide* tangent, double fraction,
+                        int rows, First first, Wide* to) {
     int i = 0;
     for (int r = 0; r < rows; ++r) {
       Wide* row = to + r * size_;
       terms_.clear();
-      for (; i < jacobian.count && jacobian[i].row == r && jacobian[i].column < s_.states; ++i)
+      for (; i < jacobian.count && jacobian[i].row == r && jacobian[i].column < p_.states; ++i)
         terms_.push_back({entry + i, tangent + jacobian[i].column * size_});
       combine<false>(terms_.data(), static_cast<int>(terms_.size()), first(r), size_, row);
       for (; i < jacobian.count && jacobian[i].row == r; ++i) {
-        row[jacobian[i].column] += (1.0 - share) * entry[i];
-        row[jacobian[i].column + s_.controls] += share * entry[i];
+        row[jacobian[i].column] += (1.0 - fraction) * entry[i];
+        row[jacobian[i].column + p_.controls] += fraction * entry[i];
       }
     }
   }
 
-  void keep_margins() {
+  void subtract_margins() {
     int group = 0;
-    s_.for_groups([&](int b, auto value, auto outcome) {
-      const Function& f = s_.blocks[b].less_margin;
-      const Wide* entry = walk_.group_entries(group++);
+    p_.for_groups([&](int g, auto value, auto output) {
+      const Function& f = p_.groups[g].subtract_margin;
+      const Wide* entry = forward_.group_entries(group++);
       auto tangent = [&](int e) { return values_ + value(e) * size_; };
       for (int i = 0, e = 0; e < f.values; ++e) {
         terms_.clear();
         for (; i < f.jacobian.count && f.jacobian[i].row == e; ++i)
           terms_.push_back({entry + i, tangent(f.jacobian[i].column)});
-        combine<false>(terms_.data(), static_cast<int>(terms_.size()), 0, size_, outcomes_ + outcome(e) * size_);
+        combine<false>(terms_.data(), static_cast<int>(terms_.size()), 0, size_, outputs_ + output(e) * size_);
       }
-      if (!curved()) return;
-      Player& margin = tapes_.margins[b];
+      if (!second_order()) return;
+      TapeEvaluator& margin = tapes_.margins[g];
       Wide* to = margin.inputs();
-      for (int e = 0; e < f.arguments; ++e) to[e] = walk_.value(value(e));
-      for (int e = 0; e < f.values; ++e) to[f.prices() + e] = prices_.outcomes()[outcome(e)];
-      margin.play();
-      curvature_.add(f.hessian, margin, f.arguments, tangent);
+      for (int e = 0; e < f.arguments; ++e) to[e] = forward_.value(value(e));
+      for (int e = 0; e < f.values; ++e) to[f.multipliers_begin() + e] = adjoint_.multipliers()[output(e)];
+      margin.evaluate();
+      hessian_.add(f.hessian, margin, f.arguments, tangent);
     });
   }
 
   void ends() {
-    const Function& f = s_.ends;
+    const Function& f = p_.ends;
     for (int i = 0; i < f.jacobian.count; ++i)
-      outcomes_[(s_.of_ends() + f.jacobian[i].row) * size_ + f.jacobian[i].column] = walk_.ends_entries()[i];
-    if (!curved()) return;
-    std::copy_n(walk_.w(), size_, tapes_.ends.inputs());
-    std::copy_n(prices_.outcomes() + s_.of_ends(), f.values, tapes_.ends.inputs() + f.prices());
-    tapes_.ends.play();
-    curvature_.add(f.hessian, tapes_.ends);
+      outputs_[(p_.ends_begin() + f.jacobian[i].row) * size_ + f.jacobian[i].column] = forward_.ends_entries()[i];
+    if (!second_order()) return;
+    std::copy_n(forward_.w(), size_, tapes_.ends.inputs());
+    std::copy_n(adjoint_.multipliers() + p_.ends_begin(), f.values, tapes_.ends.inputs() + f.multipliers_begin());
+    tapes_.ends.evaluate();
+    hessian_.add(f.hessian, tapes_.ends);
   }
 
-  const Sweep& s_;
-  const Walk& walk_;
-  const Prices& prices_;
+  const IntervalProblem& p_;
+  const Forward& forward_;
+  const Adjoint& adjoint_;
   int size_;
   Tapes tapes_;
-  Wide *path_, *moved_, *pushed_, *values_, *outcomes_;
+  Wide *path_, *stage_tangent_, *slope_tangents_, *values_, *outputs_;
   std::vector<Term> terms_;
-  Curvature curvature_;
+  HessianSum hessian_;
 };
 
 }  // namespace jaxscp

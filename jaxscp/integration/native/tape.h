@@ -1,4 +1,5 @@
-// A tape: operations on numbers, each for two packs of intervals. ``tape.py`` records them, in runs of one kind.
+// Evaluation of a tape: operations on numbers, each for two packs of intervals. ``tape.py`` records them, in runs of
+// equal operations.
 #pragma once
 
 #include <algorithm>
@@ -8,8 +9,8 @@
 
 namespace jaxscp {
 
-// A number of the mathematics, for two packs of intervals, as it takes longer to look up an operation than to do it
-// once.
+// One number for each of kLanes intervals, in two registers: decoding an operation takes longer than one register's
+// arithmetic.
 struct Wide {
   Pack low, high;
 };
@@ -25,7 +26,7 @@ inline Wide operator*(Wide a, Wide b) { return {a.low * b.low, a.high * b.high};
 inline Wide operator*(double a, Wide b) { return {a * b.low, a * b.high}; }
 inline Wide& operator+=(Wide& a, Wide b) { return a = a + b; }
 
-// As in ``tape.py``.
+// In the order of ``tape.py``.
 enum Code {
   kSum, kDifference, kProduct, kReciprocal, kNegative, kChoice, kMultiplyAdd, kMultiplySubtract,
   kSqrt, kSin, kCos, kExp, kLog, kTanh, kMax, kMin, kAbs, kLess, kLessEqual, kGreater, kGreaterEqual, kEqual,
@@ -42,7 +43,7 @@ inline Wide each(const Wide& v, Function function) {
   return to;
 }
 
-// function(a, b) of both registers.
+// function(a, b), register by register.
 template <typename Function>
 inline Wide both(const Wide& a, const Wide& b, Function function) {
   return {function(a.low, b.low), function(a.high, b.high)};
@@ -50,7 +51,7 @@ inline Wide both(const Wide& a, const Wide& b, Function function) {
 
 inline Pack truth(Mask mask) { return where(mask, all(1.0), all(0.0)); }
 
-// function(a, b, c) for all operations from here on that are of the same kind, to look up which only once.
+// Evaluates function(a, b, c) for the run of equal operations that begins at ``at``; returns the end of the run.
 template <typename Function>
 inline const Operation* run(const Operation* at, const Operation* end, Wide* v, Function function) {
   const int code = at->code;
@@ -59,7 +60,7 @@ inline const Operation* run(const Operation* at, const Operation* end, Wide* v, 
   return at;
 }
 
-inline void play(const Operation* at, const Operation* end, Wide* v) {
+inline void evaluate(const Operation* at, const Operation* end, Wide* v) {
   typedef const Wide& In;
   auto all_with = [&](auto function) { at = run(at, end, v, function); };
   auto of_one = [&](auto function) { all_with([=](In a, In, In) { return each(a, function); }); };
@@ -81,7 +82,7 @@ inline void play(const Operation* at, const Operation* end, Wide* v) {
       case kExp: of_one([](double x) { return std::exp(x); }); break;
       case kLog: of_one([](double x) { return std::log(x); }); break;
       case kTanh: of_one([](double x) { return std::tanh(x); }); break;
-      // no number stays none, whichever it is
+      // NaN if either operand is NaN
       case kMax: of_two([](Pack x, Pack y) { return where(x != x, x, where(y <= x, x, y)); }); break;
       case kMin: of_two([](Pack x, Pack y) { return where(x != x, x, where(y >= x, x, y)); }); break;
       case kAbs: all_with([](In a, In, In) { return Wide{magnitude(a.low), magnitude(a.high)}; }); break;

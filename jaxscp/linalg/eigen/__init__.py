@@ -1,1 +1,1 @@
-"""Symmetric matrices by their eigenvalues: the nearest positive semidefinite matrices, and pseudo-inverses."""
+"""Eigenvalues of symmetric matrices, their nearest positive semidefinite matrices, and pseudo-inverses."""

@@ -1,28 +1,36 @@
-"""Eigenvalues and the projection, on a CPU in float64 by C++ if that was compiled, and else as JAX.
+"""Eigenvalues and nearest semidefinite matrices: in C++ for float64 on a CPU if compiled, else in JAX.
 
-LAPACK takes one small matrix after another, and most of its time for what it does around the arithmetic; C++ takes
-as many at once as a register has places.
+LAPACK takes one small matrix after another, and spends most of the time outside of the arithmetic. The C++ takes one
+matrix in each lane of a register.
 """
 
 from jaxtyping import Array, Float
 
-from jaxscp.backends.libraries import choose, in_float64
+from jaxscp.backends.libraries import dispatch, in_float64
 from jaxscp.linalg.eigen import in_jax, native
 
 
 def nearest(
     matrices: Float[Array, "count size size"],
 ) -> tuple[Float[Array, "count size size"], Float[Array, "count"]]:
-    """What is nearest to each symmetric matrix among those without negative eigenvalues, and the lowest eigenvalue that
-    it had. All is NaN of a matrix with entries that are not finite, and of that alone."""
-    cpu = native.nearest if in_float64(matrices) and native.LIBRARY.available() else None
-    return choose(cpu, in_jax.nearest, matrices)
+    """Nearest positive semidefinite matrix to each symmetric matrix, and the lowest eigenvalue of the latter.
+
+    Results are NaN for a matrix with entries that are not finite, and for no other.
+    """
+    cpu = native.nearest if _compiled(matrices) else None
+    return dispatch(cpu, in_jax.nearest, matrices)
 
 
 def eigen(
     matrices: Float[Array, "count size size"],
 ) -> tuple[Float[Array, "count size"], Float[Array, "count size size"]]:
-    """Eigenvalues of symmetric matrices, in any order, and their vectors, which are columns; without derivative. All is
-    NaN of a matrix with entries that are not finite, and of that alone."""
-    cpu = native.eigen if in_float64(matrices) and native.LIBRARY.available() else None
-    return choose(cpu, in_jax.eigen, matrices)
+    """Eigenvalues of symmetric matrices, in any order, and eigenvectors as columns. Not differentiable.
+
+    Results are NaN for a matrix with entries that are not finite, and for no other.
+    """
+    cpu = native.eigen if _compiled(matrices) else None
+    return dispatch(cpu, in_jax.eigen, matrices)
+
+
+def _compiled(matrices: Array) -> bool:
+    return in_float64(matrices) and native.LIBRARY.available()

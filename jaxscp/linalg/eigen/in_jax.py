@@ -1,4 +1,4 @@
-"""By the eigenvalues that LAPACK, or what stands for it on other devices, finds."""
+"""Eigenvalues and nearest semidefinite matrices by ``jnp.linalg.eigh``."""
 
 import jax
 import jax.numpy as jnp
@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 def nearest(
     matrices: Float[Array, "count size size"],
 ) -> tuple[Float[Array, "count size size"], Float[Array, "count"]]:
-    """What is nearest to each, and the lowest eigenvalue that it had."""
+    """Nearest positive semidefinite matrix to each symmetric matrix, and the lowest eigenvalue of the latter."""
     values, vectors = jnp.linalg.eigh(matrices, symmetrize_input=True)
     raised = vectors * jnp.maximum(values, 0.0)[:, None, :]
     return raised @ jax.lax.transpose(vectors, (0, 2, 1)), values[:, 0]
@@ -17,6 +17,6 @@ def nearest(
 def eigen(
     matrices: Float[Array, "count size size"],
 ) -> tuple[Float[Array, "count size"], Float[Array, "count size size"]]:
-    """Eigenvalues and vectors."""
+    """Eigenvalues, and eigenvectors as columns."""
     values, vectors = jnp.linalg.eigh(matrices, symmetrize_input=True)
     return values, vectors

@@ -1,16 +1,14 @@
-"""The sums, on a CPU in float64 by C++ if that was compiled, and else as JAX.
+"""Gram matrices: in C++ for float64 on a CPU if compiled, else in JAX.
 
-XLA copies and transposes every Jacobian for products that are small; C++ reads each of them once for all.
+XLA copies and transposes every Jacobian for small products; the C++ reads each Jacobian once.
 """
 
-from jaxscp.backends.libraries import choose, in_float64
+from jaxscp.backends.libraries import dispatch, in_float64
 from jaxscp.linalg.gram import in_jax, native
 from jaxscp.linalg.gram.system import GramSums, WeightedRows
 
-__all__ = ["GramSums", "WeightedRows", "gram"]
-
 
 def gram(parts: tuple[WeightedRows, ...]) -> GramSums:
-    """Sums over all constraints, of which there must be one."""
+    """J' W J and J' v, summed over one constraint or more."""
     cpu = native.gram if in_float64(parts) and native.LIBRARY.available() else None
-    return choose(cpu, in_jax.gram, parts)
+    return dispatch(cpu, in_jax.gram, parts)

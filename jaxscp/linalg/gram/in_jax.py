@@ -1,4 +1,4 @@
-"""The sums, one constraint after another."""
+"""Gram matrices in JAX, one constraint after another."""
 
 import jax.numpy as jnp
 
@@ -6,13 +6,13 @@ from jaxscp.linalg.gram.system import GramSums, WeightedRows
 
 
 def gram(parts: tuple[WeightedRows, ...]) -> GramSums:
-    """Sums over all constraints, of which there must be one."""
+    """J' W J and J' v, summed over one constraint or more."""
     matrix = sum(jnp.einsum("iprw,ipr,iprv->iwv", p.jacobian, p.weight, p.jacobian) for p in parts)
     for part in parts:
-        if part.along is not None:
-            row = jnp.einsum("ipr,iprw->ipw", part.along, part.jacobian)
+        if part.rank_one is not None:
+            row = jnp.einsum("ipr,iprw->ipw", part.rank_one, part.jacobian)
             matrix += jnp.einsum("ipw,ipv->iwv", row, row)
     return GramSums(
         jnp.asarray(matrix),
-        jnp.asarray(sum(jnp.einsum("iprw,iprk->ikw", p.jacobian, p.sides) for p in parts)),
+        jnp.asarray(sum(jnp.einsum("iprw,iprk->ikw", p.jacobian, p.vectors) for p in parts)),
     )

@@ -1,25 +1,28 @@
-"""Weighted rows, and what they add up to."""
+"""Weighted rows of constraints, and their Gram matrices."""
 
 import equinox as eqx
 from jaxtyping import Array, Float
 
 
 class WeightedRows(eqx.Module):
-    """The Jacobian of a constraint at every point of every place, and the weights of its rows: their matrix is
-    diag(weight), and where there is an ``along`` also along along' over the rows of each point, as that of a
-    second-order cone's scaling is."""
+    """Jacobian of a constraint at all points of every location (a node or an interval), and weights of its rows.
 
-    jacobian: Float[Array, "places points rows inputs"]
-    weight: Float[Array, "places points rows"]
-    along: Float[Array, "places points rows"] | None
-    sides: Float[Array, "places points rows sides"]
-    """v, of which there may be several; as many for all constraints."""
+    The weight matrix of a point is W = diag(weight) + rank_one rank_one', the form of a second-order cone's scaling.
+    """
+
+    jacobian: Float[Array, "locations points rows inputs"]
+    """J."""
+    weight: Float[Array, "locations points rows"]
+    rank_one: Float[Array, "locations points rows"] | None
+    """None for a diagonal weight matrix."""
+    vectors: Float[Array, "locations points rows vectors"]
+    """v; all constraints have equally many."""
 
 
 class GramSums(eqx.Module):
-    """Sums over the constraints."""
+    """Sums over constraints, points and rows, at every location."""
 
-    matrix: Float[Array, "places inputs inputs"]
+    matrix: Float[Array, "locations inputs inputs"]
     """J' W J."""
-    sides: Float[Array, "places sides inputs"]
+    products: Float[Array, "locations vectors inputs"]
     """J' v."""

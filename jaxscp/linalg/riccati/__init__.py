@@ -1,9 +1,8 @@
-"""The Newton system of an optimal control problem (``system``), by a Riccati recursion.
+"""Newton system of an optimal control problem (``system``), solved by a Riccati recursion.
 
-Backwards along the chain, the controls at an interval's end are minimised over, which needs that the problem is convex
-in the directions that its dynamics leave free: the second-order condition of a strict minimum, and no more than that.
-(A factorisation by nodes, as in ``conic.kkt``, needs every block convex.) The conditions at both ends enter as
-penalties, and refinement against the system as it stands makes them exact.
+The backward recursion minimises over the controls at each interval's end. It needs convexity only in the directions
+that the dynamics leave free, the second-order condition of a strict minimum. (A factorisation by nodes, as in
+``conic.kkt``, needs every block convex.) Conditions at both ends enter as penalties; refinement makes them exact.
 """
 
 from jaxscp.linalg.riccati.recursion import factor, solve

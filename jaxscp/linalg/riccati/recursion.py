@@ -1,30 +1,36 @@
-"""The recursion, on a CPU in float64 by C++ if that was compiled, and else as JAX.
+"""Riccati recursion: in C++ for float64 on a CPU if compiled, else in JAX.
 
-XLA runs a step along the chain as dozens of operations on matrices of a few kilobytes, and most of its time goes
+XLA runs a step of the recursion as dozens of operations on matrices of a few kilobytes, and spends most of its time
 between them.
 """
 
 import functools
 
-from jaxscp.backends.libraries import choose, in_float64
+from jaxscp.backends.libraries import dispatch, in_float64
 from jaxscp.linalg.riccati import in_jax, native
 from jaxscp.linalg.riccati.system import Factor, KKTVector, LQProblem
 
 REFINEMENTS = 3
 
 
-def factor(chain: LQProblem) -> Factor:
-    """Eliminate the chain from its end."""
-    cpu = native.factor if _compiled(chain) else None
-    return choose(cpu, in_jax.factor, chain)
+def factor(problem: LQProblem) -> Factor:
+    """Factor of the system's matrix, by the backward recursion."""
+    cpu = native.factor if _compiled(problem) else None
+    return dispatch(cpu, in_jax.factor, problem)
 
 
 def solve(factor: Factor, right: KKTVector, refinements: int = REFINEMENTS) -> KKTVector:
-    """Solve for one right-hand side; without refinement, but for the penalties of the ends and for rounding."""
+    """Solution for one right-hand side.
+
+    Args:
+        factor: factor of the system's matrix.
+        right: right-hand side.
+        refinements: steps of iterative refinement; without any, end conditions hold to the penalty's accuracy.
+    """
     refined = functools.partial(native.solve, refinements=refinements)
-    cpu = refined if _compiled(factor.chain) else None
-    return choose(cpu, functools.partial(in_jax.solve, refinements=refinements), factor, right)
+    cpu = refined if _compiled(factor.problem) else None
+    return dispatch(cpu, functools.partial(in_jax.solve, refinements=refinements), factor, right)
 
 
-def _compiled(chain: LQProblem) -> bool:
-    return in_float64(chain) and native.LIBRARY.available()
+def _compiled(problem: LQProblem) -> bool:
+    return in_float64(problem) and native.LIBRARY.available()

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from jaxscp.backends.codegen.cuda_text import COMPARISONS, Numbers, Scope, filled, literal, numbered
-from jaxscp.backends.codegen.functions import Function
+from jaxscp.backends.codegen.functions import TapedFunction
 from jaxscp.verification.integrator.accuracy import FIRST_STEP, TOLERANCE, most_steps
 from jaxscp.verification.integrator.method import eighth_order
 
@@ -23,7 +23,7 @@ _TEXT = """\
 constexpr int kLanes = @warp;
 inline void meet() { __syncwarp(); }
 inline double of_all_lanes(double v) {
-  for (int apart = kLanes / 2; apart > 0; apart /= 2) v += __shfl_xor_sync(0xffffffff, v, apart);
+  for (int mask = kLanes / 2; mask > 0; mask /= 2) v += __shfl_xor_sync(0xffffffff, v, mask);
   return v;
 }
 #else  // a single thread
@@ -33,7 +33,7 @@ inline double of_all_lanes(double v) { return v; }
 #endif
 
 constexpr int kStates = @states, kControls = @controls, kIntervals = @intervals, kSamples = @samples;
-constexpr int kSubintervals = kSamples - 1, kStages = @stages, kMostSteps = @most, kKnown = @known;
+constexpr int kSubintervals = kSamples - 1, kStages = @stages, kMostSteps = @most, kHoisted = @hoisted;
 constexpr int kInputs = kStates + (kIntervals + 1) * (kControls + 1);
 constexpr double kTolerance = @tolerance, kFirstStep = @first_step;
 constexpr double kSafety = 0.9, kLeast = 0.2, kMost = 10.0;  // of how a step grows, as diffrax has it
@@ -49,7 +49,7 @@ struct Shared {
 
 // ``count`` trajectories; ``of_one`` consecutive ones share the constants. ``slopes`` are at the intervals' starts.
 extern "C" __global__ void __launch_bounds__(@threads)
-    jaxscp_kernel(const double* __restrict__ w, const double* __restrict__ known, double* __restrict__ states,
+    jaxscp_kernel(const double* __restrict__ w, const double* __restrict__ hoisted, double* __restrict__ states,
                   double* __restrict__ slopes, long long count, long long of_one) {
   __shared__ Shared shared[@threads / kLanes];
   const long long number = (static_cast<long long>(blockIdx.x) * @threads + threadIdx.x) / kLanes;
@@ -57,7 +57,7 @@ extern "C" __global__ void __launch_bounds__(@threads)
   const int lane = threadIdx.x % kLanes;
   Shared& f = shared[threadIdx.x / kLanes];
   w += number * kInputs;
-  known += number / of_one * kKnown;
+  hoisted += number / of_one * kHoisted;
   states += number * kIntervals * kSamples * kStates;
   slopes += number * kIntervals * kStates;
 
@@ -136,7 +136,7 @@ extern "C" __global__ void __launch_bounds__(@threads)
 """
 
 
-def kernel(slope: Function, intervals: int, samples: int) -> str:
+def kernel(slope: TapedFunction, intervals: int, samples: int) -> str:
     """Text of the kernel, for a derivative of states and controls."""
     from diffrax import Dopri8  # slow to import
 
@@ -146,14 +146,14 @@ def kernel(slope: Function, intervals: int, samples: int) -> str:
     numbers |= {"states": slope.values, "controls": slope.arguments - slope.values}
     numbers |= {"intervals": intervals, "samples": samples, "most": most_steps(intervals)}
     numbers |= {"tolerance": literal(TOLERANCE), "first_step": literal(FIRST_STEP)}
-    numbers |= {"table": ", ".join(f"{{{_row(row)}}}" for row in method.table)}
-    numbers |= {"nodes": _row(method.shares), "error": _row(error), "known": len(spelled.known)}
+    numbers |= {"table": ", ".join(f"{{{_row(row)}}}" for row in method.a)}
+    numbers |= {"nodes": _row(method.c), "error": _row(error), "hoisted": len(spelled.hoisted)}
     numbers |= {"slope": "\n".join(f"    {line}" for line in _slope(slope, spelled))}
     numbers |= {"weights": "\n".join(f"          {line}" for line in _weights(dense))}
     return filled(COMPARISONS + _TEXT, numbers)
 
 
-def _slope(slope: Function, numbers: Numbers) -> Iterator[str]:
+def _slope(slope: TapedFunction, numbers: Numbers) -> Iterator[str]:
     n = slope.values
     for k in range(slope.arguments):
         value = f"f.stage[{k}]" if k < n else f"u[{k - n}] + fraction * (u[kControls + {k - n}] - u[{k - n}])"

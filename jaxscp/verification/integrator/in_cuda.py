@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from jaxscp.backends import cuda, libraries
 from jaxscp.backends.codegen import functions, launch, tracing
-from jaxscp.backends.codegen.functions import Function
+from jaxscp.backends.codegen.functions import TapedFunction
 from jaxscp.dynamics.base import Dynamics
 from jaxscp.verification.integrator import cuda_source
 
@@ -22,9 +22,9 @@ class Kernel(NamedTuple):
     """A compiled kernel, called with (start, control, dilation)."""
 
     dynamics: Dynamics
-    derivative: Function
+    derivative: TapedFunction
     """Of the state, by state and controls."""
-    machine_code: bytes
+    cubin: bytes
     threads: int
     """That integrate one trajectory together."""
     samples: int
@@ -41,12 +41,10 @@ class Kernel(NamedTuple):
         intervals, n = dilation.shape[0] - 1, start.shape[0]
         w = jnp.concatenate([start, control.ravel(), dilation])[None]
         shapes = (1, intervals, self.samples, n), (1, intervals, n)
-        constants = launch.known_of(self.derivative)
+        constants = launch.hoisted_constants(self.derivative)
         states, derivatives = (
             v[0]
-            for v in launch.call(
-                self.machine_code, w, constants, shapes, self.threads, cuda_source.BLOCK_THREADS
-            )
+            for v in launch.call(self.cubin, w, constants, shapes, self.threads, cuda_source.BLOCK_THREADS)
         )
         expected = jax.vmap(self.dynamics)(states[:, 0], control[:-1]) * dilation[:-1, None] / intervals
         errors, sizes = (jnp.max(jnp.abs(v), axis=1) for v in (derivatives - expected, expected))
@@ -67,11 +65,11 @@ def kernel_for(
     except tracing.CannotTrace:
         return None
     text = cuda_source.kernel(derivative, control.shape[0] - 1, samples)
-    code = launch.image(text, here, "the verifier's integration")
-    return None if code is None else Kernel(dynamics, derivative, code, cuda_source.WARP, samples)
+    cubin = launch.cubin(text, here, "the verifier's integration")
+    return None if cubin is None else Kernel(dynamics, derivative, cubin, cuda_source.WARP, samples)
 
 
-def record(dynamics: Dynamics) -> Function:
+def record(dynamics: Dynamics) -> TapedFunction:
     """The derivative of the state as a tape, by state and controls.
 
     Raises:

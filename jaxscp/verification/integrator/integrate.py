@@ -2,7 +2,7 @@
 
 from jaxtyping import Array, Float
 
-from jaxscp.backends.libraries import choose
+from jaxscp.backends.libraries import dispatch
 from jaxscp.dynamics.base import Dynamics
 from jaxscp.problem.trajectory import Trajectory
 from jaxscp.verification.integrator import in_cuda, in_jax
@@ -32,4 +32,4 @@ def integrate(
         return in_jax.states(dynamics, start, control, dilation, samples)
 
     by_kernel = in_cuda.kernel_for(dynamics, start, control, samples)
-    return choose(None, by_diffrax, start, control, dilation, cuda=by_kernel)
+    return dispatch(None, by_diffrax, start, control, dilation, cuda=by_kernel)

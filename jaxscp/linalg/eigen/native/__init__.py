@@ -1,9 +1,9 @@
-"""Eigenvalues and the projection in C++, as compiled for this machine.
+"""Eigenvalues and nearest semidefinite matrices in C++, compiled for this machine.
 
-In the order in which they build on each other (``libraries/pack.h`` has the registers):
+In the order in which the files build on each other (``backends/native/pack.h`` has the registers):
 
-    eigen.h       several symmetric matrices at once: their eigenvalues and vectors
-    handler.cc    what XLA calls: its threads share the packs
+    eigen.h       eigenvalues and vectors of several symmetric matrices at once
+    handler.cc    XLA FFI handlers
 """
 
 import jax
@@ -12,14 +12,14 @@ from jaxtyping import Array, Float
 
 from jaxscp.backends import libraries
 
-LIBRARY = libraries.SEMIDEFINITE
+LIBRARY = libraries.EIGEN
 NEAREST, EIGEN = LIBRARY.targets
 
 
 def nearest(
     matrices: Float[Array, "count size size"],
 ) -> tuple[Float[Array, "count size size"], Float[Array, "count"]]:
-    """``in_jax.nearest``, to rounding."""
+    """``in_jax.nearest``, equal to rounding."""
     shapes = matrices.shape, matrices.shape[:1]
     results = [jax.ShapeDtypeStruct(shape, jnp.float64) for shape in shapes]
     found, least = jax.ffi.ffi_call(NEAREST, results, vmap_method="broadcast_all")(matrices)
@@ -29,7 +29,7 @@ def nearest(
 def eigen(
     matrices: Float[Array, "count size size"],
 ) -> tuple[Float[Array, "count size"], Float[Array, "count size size"]]:
-    """``in_jax.eigen``, to rounding and but for the order."""
+    """``in_jax.eigen``, equal to rounding, in another order."""
     shapes = matrices.shape[:-1], matrices.shape
     results = [jax.ShapeDtypeStruct(shape, jnp.float64) for shape in shapes]
     values, vectors = jax.ffi.ffi_call(EIGEN, results, vmap_method="broadcast_all")(matrices)

@@ -1,22 +1,22 @@
-// What XLA calls on a CPU, a pack of a batch's matrices at once: their eigenvalues and vectors, and the semidefinite
-// matrices that are nearest to them. Its threads share the packs.
+// XLA FFI handlers on a CPU: eigenvalues and vectors of a batch of matrices, and the nearest semidefinite matrices, a
+// pack of matrices at once on XLA's threads.
 
 #include "eigen.h"
-#include "spread.h"
+#include "parallel_for.h"
 
 namespace jaxscp {
 namespace {
 
-Memory& memory_of_thread() {
-  thread_local Memory memory;
-  memory.again();
-  return memory;
+Workspace& workspace_of_thread() {
+  thread_local Workspace workspace;
+  workspace.reset();
+  return workspace;
 }
 
-// Of matrices number ``first`` to ``end``, at most a pack of them.
-Eigen taken_apart(const double* from, int64_t first, int64_t end, int size) {
+// Eigenvalues and vectors of matrices ``first`` to ``end``, at most a pack of them.
+Eigen eigen_of(const double* from, int64_t first, int64_t end, int size) {
   const int64_t entries = static_cast<int64_t>(size) * size;
-  Eigen eigen(size, memory_of_thread());
+  Eigen eigen(size, workspace_of_thread());
   for (int i = 0; i < size; ++i)
     for (int j = 0; j <= i; ++j) {
       Pack v = all(0.0);
@@ -32,7 +32,7 @@ Eigen taken_apart(const double* from, int64_t first, int64_t end, int size) {
 
 void project(const double* from, int64_t first, int64_t end, int size, double* to, double* least) {
   const int64_t entries = static_cast<int64_t>(size) * size;
-  const Eigen eigen = taken_apart(from, first, end, size);
+  const Eigen eigen = eigen_of(from, first, end, size);
   Pack lowest = eigen.value(0);
   for (int k = 1; k < size; ++k) lowest = where(eigen.value(k) < lowest, eigen.value(k), lowest);
   for (int64_t lane = 0; lane < end - first; ++lane) least[first + lane] = get(lowest, lane);
@@ -49,7 +49,7 @@ void project(const double* from, int64_t first, int64_t end, int size, double* t
 }
 
 void decompose(const double* from, int64_t first, int64_t end, int size, double* values, double* vectors) {
-  const Eigen eigen = taken_apart(from, first, end, size);
+  const Eigen eigen = eigen_of(from, first, end, size);
   for (int64_t lane = 0; lane < end - first; ++lane)
     for (int k = 0; k < size; ++k) {
       values[(first + lane) * size + k] = get(eigen.value(k), lane);
@@ -60,15 +60,15 @@ void decompose(const double* from, int64_t first, int64_t end, int size, double*
 
 using Numbers = ffi::Buffer<ffi::F64>;
 
-// act(first, end, size) for every pack of the matrices.
+// Runs act(first, end, size) for every pack of matrices.
 template <typename Act>
 ffi::Error by_packs(ffi::ThreadPool pool, const Numbers& matrices, Act act) {
   const auto shape = matrices.dimensions();
   const int size = static_cast<int>(shape[shape.size() - 1]);
   if (size == 0) return ffi::Error::InvalidArgument("matrices without rows have no eigenvalues");
   const auto count = static_cast<int64_t>(matrices.element_count()) / (static_cast<int64_t>(size) * size);
-  spread(pool, (count + kWidth - 1) / kWidth, [&](int64_t some) {
-    const int64_t first = some * kWidth;
+  parallel_for(pool, (count + kWidth - 1) / kWidth, [&](int64_t pack) {
+    const int64_t first = pack * kWidth;
     act(first, std::min(count, first + kWidth), size);
   });
   return ffi::Error::Success();

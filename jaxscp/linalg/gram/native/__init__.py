@@ -1,9 +1,9 @@
-"""The sums in C++, as compiled for this machine.
+"""Gram matrices in C++, compiled for this machine.
 
-In the order in which they build on each other (products are those of ``libraries/dense.h``):
+In the order in which the files build on each other (``backends/native/dense.h`` has the products):
 
-    normal.h      one place
-    handler.cc    what XLA calls: its threads share the places
+    gram.h        sums at one location
+    handler.cc    XLA FFI handler
 """
 
 import jax
@@ -13,22 +13,21 @@ import numpy as np
 from jaxscp.backends import libraries
 from jaxscp.linalg.gram.system import GramSums, WeightedRows
 
-LIBRARY = libraries.NORMAL
+LIBRARY = libraries.GRAM
 (TARGET,) = LIBRARY.targets
 
 
 def gram(parts: tuple[WeightedRows, ...]) -> GramSums:
-    """``in_jax.gram``, to rounding."""
-    places, _, _, inputs = parts[0].jacobian.shape
-    sides = parts[0].sides.shape[-1]
+    """``in_jax.gram``, equal to rounding."""
+    locations, _, _, inputs = parts[0].jacobian.shape
+    vectors = parts[0].vectors.shape[-1]
     arrays = []
     for p in parts:
-        arrays += (
-            [p.jacobian, p.weight, p.sides] if p.along is None else [p.jacobian, p.weight, p.sides, p.along]
-        )
-    shapes = (places, inputs, inputs), (places, sides, inputs)
+        arrays += [p.jacobian, p.weight, p.vectors]
+        arrays += [] if p.rank_one is None else [p.rank_one]
+    shapes = (locations, inputs, inputs), (locations, vectors, inputs)
     call = jax.ffi.ffi_call(
         TARGET, [jax.ShapeDtypeStruct(s, jnp.float64) for s in shapes], vmap_method="broadcast_all"
     )
-    coupled = np.array([p.along is not None for p in parts], np.int32)
-    return GramSums(*call(*arrays, coupled=coupled))
+    rank_one = np.array([p.rank_one is not None for p in parts], np.int32)
+    return GramSums(*call(*arrays, rank_one=rank_one))

@@ -1,50 +1,51 @@
-// What XLA calls on a CPU: its threads share the places, so many at a time that there is something to do.
+// XLA FFI handler on a CPU: J' W J and J' v of a batch of locations, in chunks on XLA's threads.
 
-#include "normal.h"
-#include "spread.h"
+#include "gram.h"
+#include "parallel_for.h"
 
 namespace jaxscp {
 namespace {
 
-constexpr int64_t kEnough = 500'000;  // products: for fewer, another thread is not worth calling
+constexpr int64_t kMinOperations = 500'000;  // of a chunk: for fewer, a thread costs more than it saves
 
-Memory& memory_of_thread() {
-  thread_local Memory memory;
-  memory.again();
-  return memory;
+Workspace& workspace_of_thread() {
+  thread_local Workspace workspace;
+  workspace.reset();
+  return workspace;
 }
 
-ffi::Error normal(ffi::ThreadPool pool, ffi::Span<const int32_t> coupled, ffi::RemainingArgs args,
-                  ffi::Result<ffi::Buffer<ffi::F64>> matrix, ffi::Result<ffi::Buffer<ffi::F64>> sides) {
-  const auto of_sides = sides->dimensions();
-  const int inputs = static_cast<int>(of_sides[of_sides.size() - 1]);
-  const int count = static_cast<int>(of_sides[of_sides.size() - 2]);
-  const int64_t places = static_cast<int64_t>(matrix->element_count()) / (inputs * inputs);
-  std::vector<Part> parts;
+ffi::Error gram(ffi::ThreadPool pool, ffi::Span<const int32_t> rank_one, ffi::RemainingArgs args,
+                ffi::Result<ffi::Buffer<ffi::F64>> matrix, ffi::Result<ffi::Buffer<ffi::F64>> products) {
+  const auto shape_of_products = products->dimensions();
+  const int inputs = static_cast<int>(shape_of_products[shape_of_products.size() - 1]);
+  const int count = static_cast<int>(shape_of_products[shape_of_products.size() - 2]);
+  const int64_t locations = static_cast<int64_t>(matrix->element_count()) / (inputs * inputs);
+  std::vector<WeightedRows> parts;
   size_t at = 0;
-  for (const int32_t couples : coupled) {
-    if (at + 3 + couples > args.size()) return ffi::Error::InvalidArgument("a constraint lacks an array");
+  for (const int32_t has_rank_one : rank_one) {
+    if (at + 3 + has_rank_one > args.size()) return ffi::Error::InvalidArgument("a constraint lacks an array");
     auto next = [&] { return static_cast<const double*>(args.get<ffi::AnyBuffer>(at++)->untyped_data()); };
     const auto shape = args.get<ffi::AnyBuffer>(at)->dimensions();
     auto size = [&](int from_last) { return static_cast<int>(shape[shape.size() - from_last]); };
-    Part part{.points = size(3), .rows = size(2), .jacobian = next(), .weight = next(), .sides = next(), .along = {}};
-    if (couples) part.along = next();
+    WeightedRows part{.points = size(3), .rows = size(2),
+                      .jacobian = next(), .weight = next(), .vectors = next(), .rank_one = {}};
+    if (has_rank_one) part.rank_one = next();
     parts.push_back(part);
   }
-  int64_t products = 1;  // of a place
-  for (const Part& part : parts) products += static_cast<int64_t>(part.stacked()) * inputs * inputs;
-  const int64_t together = (kEnough + products - 1) / products;
-  spread(pool, (places + together - 1) / together, [&](int64_t some) {
-    std::vector<Part> here = parts;
-    Normal sums(here, inputs, count, memory_of_thread());
-    for (int64_t place = some * together; place < std::min(places, (some + 1) * together); ++place) {
+  int64_t operations = 1;  // of a location
+  for (const WeightedRows& part : parts) operations += static_cast<int64_t>(part.stacked()) * inputs * inputs;
+  const int64_t chunk = (kMinOperations + operations - 1) / operations;
+  parallel_for(pool, (locations + chunk - 1) / chunk, [&](int64_t index) {
+    std::vector<WeightedRows> at_location = parts;
+    Gram sums(at_location, inputs, count, workspace_of_thread());
+    for (int64_t location = index * chunk; location < std::min(locations, (index + 1) * chunk); ++location) {
       for (size_t k = 0; k < parts.size(); ++k) {
-        const int64_t rows = place * parts[k].all_rows();
-        here[k].jacobian = parts[k].jacobian + rows * inputs, here[k].weight = parts[k].weight + rows;
-        here[k].sides = parts[k].sides + rows * count;
-        if (parts[k].along) here[k].along = parts[k].along + rows;
+        const int64_t rows = location * parts[k].all_rows();
+        at_location[k].jacobian = parts[k].jacobian + rows * inputs, at_location[k].weight = parts[k].weight + rows;
+        at_location[k].vectors = parts[k].vectors + rows * count;
+        if (parts[k].rank_one) at_location[k].rank_one = parts[k].rank_one + rows;
       }
-      sums.run(matrix->typed_data() + place * inputs * inputs, sides->typed_data() + place * count * inputs);
+      sums.run(matrix->typed_data() + location * inputs * inputs, products->typed_data() + location * count * inputs);
     }
   });
   return ffi::Error::Success();
@@ -53,10 +54,10 @@ ffi::Error normal(ffi::ThreadPool pool, ffi::Span<const int32_t> coupled, ffi::R
 }  // namespace
 }  // namespace jaxscp
 
-XLA_FFI_DEFINE_HANDLER_SYMBOL(jaxscp_normal, jaxscp::normal,
+XLA_FFI_DEFINE_HANDLER_SYMBOL(jaxscp_gram, jaxscp::gram,
                               xla::ffi::Ffi::Bind()
                                   .Ctx<xla::ffi::ThreadPool>()
-                                  .Attr<xla::ffi::Span<const int32_t>>("coupled")
+                                  .Attr<xla::ffi::Span<const int32_t>>("rank_one")
                                   .RemainingArgs()
                                   .Ret<xla::ffi::Buffer<xla::ffi::F64>>()
                                   .Ret<xla::ffi::Buffer<xla::ffi::F64>>());

@@ -1,9 +1,9 @@
-"""The recursion in C++, as compiled for this machine.
+"""Riccati recursion in C++, compiled for this machine.
 
-In the order in which they build on each other (products are those of ``libraries/dense.h``):
+In the order in which the files build on each other (``backends/native/dense.h`` has the products):
 
-    recursion.h   the chain factored, and solved for
-    handler.cc    what XLA calls: a thread a lane
+    recursion.h   factorisation and solution
+    handler.cc    XLA FFI handlers
 """
 
 import jax
@@ -17,15 +17,15 @@ LIBRARY = libraries.RICCATI
 FACTOR, SOLVE = LIBRARY.targets
 
 
-def factor(chain: LQProblem) -> Factor:
-    """``in_jax.factor``, to rounding."""
-    like = jax.eval_shape(no_factor, chain)
-    found = _call(FACTOR, [like.value, like.lower, like.gain, like.first], chain)
-    return Factor(chain, *found)
+def factor(problem: LQProblem) -> Factor:
+    """``in_jax.factor``, equal to rounding."""
+    like = jax.eval_shape(no_factor, problem)
+    found = _call(FACTOR, [like.value, like.lower, like.gain, like.first], problem)
+    return Factor(problem, *found)
 
 
 def solve(factor: Factor, right: KKTVector, refinements: int) -> KKTVector:
-    """``in_jax.solve``, to rounding."""
+    """``in_jax.solve``, equal to rounding."""
     return KKTVector(
         *_call(SOLVE, jax.tree.leaves(right), (factor, right), refinements=np.int64(refinements))
     )

@@ -1,4 +1,4 @@
-// Work shared among the threads of XLA.
+// Loops over XLA's thread pool.
 #pragma once
 
 #include <algorithm>
@@ -13,8 +13,8 @@ namespace jaxscp {
 
 namespace ffi = xla::ffi;
 
-// ``lead`` on this thread, and ``help`` on up to so many others. The caller waits only for helpers that have begun, so
-// that a pool with no thread to spare cannot hold it up.
+// Runs ``lead`` on this thread and ``help`` on up to ``helpers`` others. The caller waits only for helpers that have
+// begun, so that a busy pool cannot block the caller.
 template <typename Lead, typename Help>
 void with_helpers(ffi::ThreadPool& pool, int64_t helpers, const Lead& lead, const Help& help) {
   struct State {
@@ -27,29 +27,29 @@ void with_helpers(ffi::ThreadPool& pool, int64_t helpers, const Lead& lead, cons
   for (int64_t i = 0; i < helpers; ++i)
     pool.Schedule([state, &help] {
       {
-        std::lock_guard<std::mutex> hold(state->lock);
-        if (state->over) return;  // the caller has gone, and ``help`` with it
+        std::lock_guard<std::mutex> guard(state->lock);
+        if (state->over) return;  // the caller has returned, and ``help`` no longer exists
         ++state->busy;
       }
       help();
-      std::lock_guard<std::mutex> hold(state->lock);
+      std::lock_guard<std::mutex> guard(state->lock);
       --state->busy;
       state->idle.notify_one();
     });
   lead();
-  std::unique_lock<std::mutex> hold(state->lock);
+  std::unique_lock<std::mutex> guard(state->lock);
   state->over = true;
-  state->idle.wait(hold, [&] { return state->busy == 0; });
+  state->idle.wait(guard, [&] { return state->busy == 0; });
 }
 
-// ``work(lane)`` for every lane.
+// Runs work(i) for i = 0 .. count - 1.
 template <typename Work>
-void spread(ffi::ThreadPool& pool, int64_t lanes, const Work& work) {
+void parallel_for(ffi::ThreadPool& pool, int64_t count, const Work& work) {
   std::atomic<int64_t> next{0};
   auto take = [&] {
-    for (int64_t lane; (lane = next++) < lanes;) work(lane);
+    for (int64_t i; (i = next++) < count;) work(i);
   };
-  with_helpers(pool, std::min<int64_t>(lanes, pool.num_threads()) - 1, take, take);
+  with_helpers(pool, std::min<int64_t>(count, pool.num_threads()) - 1, take, take);
 }
 
 }  // namespace jaxscp

@@ -1,4 +1,4 @@
-// Arrays that serve again: the same ones in the same order, so that room for them is found once.
+// Arrays that are allocated once: after a reset, the same arrays are taken again in the same order.
 #pragma once
 
 #include <cstddef>
@@ -7,9 +7,9 @@
 namespace jaxscp {
 
 template <typename T>
-class MemoryOf {
+class WorkspaceOf {
  public:
-  void again() { next_ = 0; }
+  void reset() { next_ = 0; }
   T* take(size_t count) {
     if (next_ == arrays_.size()) arrays_.emplace_back();
     auto& array = arrays_[next_++];
