@@ -44,7 +44,7 @@ def accept_or_reject(
     chosen = jax.lax.cond(
         accept,
         lambda taken, _: taken,
-        lambda _, kept: kept,
+        lambda _, before: before,
         (trial.z, merit_history, linear, hessian, qp.multipliers, qp.conic.multipliers),
         choice(state),
     )
