@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from jaxscp.backends import libraries
+from jaxscp.backends import cuda, libraries
 from jaxscp.backends.codegen import tape
 
 ROOT = Path(__file__).parents[2]
@@ -45,3 +45,13 @@ def test_operations_have_the_same_codes_in_python_and_in_the_c_plus_plus():
     short = {"lt": "less", "le": "lessequal", "gt": "greater", "ge": "greaterequal", "eq": "equal"}
     in_python = [short.get(name, name.replace("_", "")) for name in tape.CODES]
     assert [name.lower() for name in in_cpp] == in_python
+
+
+@pytest.mark.parametrize(
+    "library",
+    [library for library in libraries.EVERY if library.on_gpu],
+    ids=lambda library: library.stem.name,
+)
+def test_launchers_read_the_attributes_that_carry_a_kernel(library):
+    text = (library.stem.parent / "gpu_handler.cc").read_text()
+    assert all(f'("{name}")' in text for name in cuda.attributes(b"a cubin"))
