@@ -57,7 +57,7 @@ def active_set(
     sizes = [
         c.cone.multiplier_size(y) for c, y in zip(problem.constraints, multipliers.by_interval(), strict=True)
     ]
-    active = (_concatenated(sizes) * size > ACTIVE_MULTIPLIER) & _enforced(problem, sizes)
+    active = (_concatenated(problem, sizes) * size > ACTIVE_MULTIPLIER) & _enforced(problem, sizes)
     at_limit = multipliers.dilation > ACTIVE_MULTIPLIER
     return ActiveSet(gradient, size, active.astype(size.dtype), at_limit.astype(size.dtype))
 
@@ -71,7 +71,7 @@ def near_limits(
     """Conditions with less slack than ``NEAR_LIMIT`` at ``z``, the point of ``linear``, with or without multiplier."""
     gradient, size = _gradients(problem, linear, scale)
     margins = [c.cone.margin(v) for c, v in zip(problem.constraints, linear.outputs.values, strict=True)]
-    active = (_concatenated(margins) < NEAR_LIMIT) & _enforced(problem, margins)
+    active = (_concatenated(problem, margins) < NEAR_LIMIT) & _enforced(problem, margins)
     dilation = z[:, -1]
     at_limit = jnp.minimum(dilation - problem.dilation_min, problem.dilation_max - dilation) < NEAR_LIMIT
     return ActiveSet(gradient, size, active.astype(size.dtype), at_limit.astype(size.dtype))
@@ -96,20 +96,24 @@ def _gradients(problem: OptimalControlProblem, linear: Linearisation, scale: Flo
     ):
         jacobian = constraint.cone.margin_jacobian(values, jacobian)
         parts.append(jacobian.reshape(jacobian.shape[0], -1, jacobian.shape[-1]))
-    gradient = jnp.concatenate(parts, axis=1) * scale
+    none = jnp.zeros((problem.nodes - 1, 0, scale.shape[0]), scale.dtype)
+    gradient = jnp.concatenate(parts or [none], axis=1) * scale
     size = jnp.maximum(jnp.linalg.norm(gradient, axis=-1), 1e-9)
     return gradient / size[..., None], size
 
 
 def _enforced(problem: OptimalControlProblem, like: list[Array]) -> Bool[Array, "intervals conditions"]:
     """Whether each condition is enforced at all, in the shape of a list by constraints."""
-    return _concatenated(
-        [
-            jnp.broadcast_to(c.active_in_intervals(v.shape[1])[:, :, None], v.shape)
-            for c, v in zip(problem.constraints, like, strict=True)
-        ]
-    )
+    parts = [
+        jnp.broadcast_to(c.active_in_intervals(v.shape[1])[:, :, None], v.shape)
+        for c, v in zip(problem.constraints, like, strict=True)
+    ]
+    return _concatenated(problem, parts).astype(bool)
 
 
-def _concatenated(parts: list[Array]) -> Shaped[Array, "intervals conditions"]:
-    return jnp.concatenate([part.reshape(part.shape[0], -1) for part in parts], axis=1)
+def _concatenated(
+    problem: OptimalControlProblem, parts: list[Array]
+) -> Shaped[Array, "intervals conditions"]:
+    """Conditions of all constraints by intervals; no columns for a problem without constraints."""
+    columns = [part.reshape(part.shape[0], -1) for part in parts]
+    return jnp.concatenate(columns or [jnp.zeros((problem.nodes - 1, 0))], axis=1)
