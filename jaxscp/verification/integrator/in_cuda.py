@@ -3,7 +3,7 @@
 In JAX every stage of every step is a few kernels: thousands of launches, one after the other, for one trajectory.
 """
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +18,8 @@ from jaxscp.verification.integrator import cuda_source
 AGREEMENT = 1e-9  # relative difference of derivatives: far above rounding
 
 
-class Kernel(NamedTuple):
+@dataclass(frozen=True, eq=False)  # JAX refers weakly to a function that it traces, which a tuple forbids
+class Kernel:
     """A compiled kernel, called with (start, control, dilation)."""
 
     dynamics: Dynamics
