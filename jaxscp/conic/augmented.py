@@ -7,9 +7,9 @@ conditions P x + q + A'y = 0 and A x + s = b have the derivatives
     [ BA   -D  ] [v ].
 
 Its entries are bounded by the program's own at any mu; those of the interior point's KKT matrix (``kkt``) grow as
-1 / mu. A node needs no curvature of its own, because a small regularisation makes the matrix quasidefinite. All rows and
-the bounds of the norms are eliminated at once, and a block tridiagonal matrix in the nodes remains. Iterative refinement
-removes the effect of the regularisation.
+1 / mu. A node needs no curvature of its own, because a small regularisation makes the matrix quasidefinite. All rows
+and the bounds of the norms are eliminated at once, and a block tridiagonal matrix in the nodes remains. Iterative
+refinement removes the effect of the regularisation.
 """
 
 import equinox as eqx

@@ -37,7 +37,6 @@ from jaxscp.core.types import Count
 from jaxscp.linalg import block_tridiagonal
 from jaxscp.linalg.batched import gram, inverse_factor, times, times_transposed, transpose_times
 
-
 # --- factorisation ---
 
 

@@ -4,8 +4,8 @@ The layer differentiates the central point at a mu near rounding,
 
     P x + q + A'y = 0,    A x + s = b,    s o y = mu e,
 
-for the program in conic form, min 1/2 x'Px + q'x, A x + s = b, s in K. Newton's method finds this point from the interior
-point's result. By the implicit function theorem, a change of the program's data changes x and y by
+for the program in conic form, min 1/2 x'Px + q'x, A x + s = b, s in K. Newton's method finds this point from the
+interior point's result. By the implicit function theorem, a change of the program's data changes x and y by
 
     [ P   A'  ] [dx]     [ dP x + dq + dA'y ]
     [ A  -W^2 ] [dy] = - [ dA x - db        ],
@@ -55,13 +55,13 @@ class ConicLayer(eqx.Module):
     Derivatives exist with respect to every float of the program; for the mask ``links.soft`` they are zero. They are of
     first order: second derivatives raise a ``TypeError``. Only the symmetric part of the Hessian counts.
 
-    If the program has no solution, or the iterations did not find it, ``z`` and ``multipliers`` are the interior point's,
-    and derivatives are NaN. With weight zero they are zero, so that ``differentiable`` can mask a batch element.
+    If the program has no solution, or the iterations did not find one, ``z`` and ``multipliers`` are the interior
+    point's, and derivatives are NaN. With weight zero they are zero, so that ``differentiable`` can mask a batch element.
 
     Derivatives are also NaN in directions, forward or reverse, in which the linear system has no accurate solution:
     along a face of many optima, and where redundant links would contradict each other. In other directions redundant
-    links do no harm. The derivative of ``objective`` depends on the multipliers alone. If these are not unique, it holds
-    for changes after which the program still has a solution.
+    links do no harm. The derivative of ``objective`` depends on the multipliers alone. If these are not unique, the
+    derivative holds for changes after which the program still has a solution.
 
     Args:
         solver: the interior point that runs first.

@@ -1,8 +1,8 @@
 """Starting point of the interior point near an estimate of the solution: a pair on the central path.
 
-Slacks s follow from the estimate z and the program. Pushed inside the cones separately, s and its multipliers y would be
-far from centred. Instead, the pair with s o y = mu e and the same difference s - y is centred (``smoothing``); it
-differs from the estimate by about sqrt(mu) at most. A larger complementarity of the estimate gives a larger mu.
+Slacks s follow from the estimate z and the program. Pushed inside the cones separately, s and its multipliers y would
+be far from centred. Instead, the pair with s o y = mu e and the same difference s - y is centred (``smoothing``). The
+pair differs from the estimate by about sqrt(mu) at most. A larger complementarity of the estimate gives a larger mu.
 
 If the soft rows do not hold at z, virtual control could close them, but at a cost that the steps would have to remove.
 So virtual control starts at its value only if its multiplier is at its bound, the penalty weight, as at a solution that

@@ -2,7 +2,7 @@
 #pragma once
 
 #include "layout.h"
-#include "threads.h"
+#include "parallel.h"
 
 namespace jaxscp {
 
@@ -68,7 +68,7 @@ class Arena {
   long long used() const { return used_; }
 
  private:
-  static constexpr int kAligned = kTogether / kWidth;
+  static constexpr int kAligned = kStageMultiple / kWidth;
 
   Pack* memory_;
   long long used_ = 0;
@@ -77,28 +77,28 @@ class Arena {
 // What is read again and again while other numbers pass by. On a GPU shared memory has it, as long as there is room: a
 // cache would lose it, and to find an entry would take two turns to memory.
 #if defined(__CUDACC__)
-class Near {
+class FastIndices {
  public:
   // By one thread: where it is to be.
-  int* take(int* far, int count) {
-    if (used() + count > kRoom) return far;
+  int* take(int* global, int count) {
+    if (used() + count > kCapacity) return global;
     used() += count;
     return integers() + used() - count;
   }
   // By all.
-  static void copy(const int* far, int* near, int count) {
-    share(near == far ? 0 : count, [&](int i) { near[i] = far[i]; });
+  static void copy(const int* global, int* fast, int count) {
+    parallel_for(fast == global ? 0 : count, [&](int i) { fast[i] = global[i]; });
   }
 
-  Near() {
+  FastIndices() {
     once([&] { used() = 0; });
   }
 
  private:
-  static constexpr int kRoom = 768;
+  static constexpr int kCapacity = 768;
   static int* integers() {
-    __shared__ int room[kRoom];
-    return room;
+    __shared__ int numbers[kCapacity];
+    return numbers;
   }
   static int& used() {
     __shared__ int count;
@@ -106,8 +106,8 @@ class Near {
   }
 };
 #else
-struct Near {
-  static int* take(int* far, int) { return far; }
+struct FastIndices {
+  static int* take(int* global, int) { return global; }
   static void copy(const int*, int*, int) {}
 };
 #endif

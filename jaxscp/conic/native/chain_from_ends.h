@@ -12,20 +12,20 @@
 namespace jaxscp {
 
 // Sides of a system that are solved together, at most.
-constexpr int kSides = 2;
+constexpr int kMaxRhs = 2;
 
 class Chain {
  public:
   Chain(const Program& program, Arena& arena)
       : m_(program.m), links_(program.nodes + 1), middle_(links_ / 2), height_(packs_for(m_)), packs_(program.packs),
         panels_(arena.take(links_ * panel())), scaled_(arena.take(4 * panel())), inverse_(arena.take(links_ * height_)),
-        turned_(arena.take(links_ * height_ * kWidth)), vector_(arena.take(links_ * kSides * height_)),
-        solution_(arena.take(packs_ * m_ * kSides)) {}
+        transposed_(arena.take(links_ * height_ * kWidth)), vector_(arena.take(links_ * kMaxRhs * height_)),
+        solution_(arena.take(packs_ * m_ * kMaxRhs)) {}
 
   // Takes the matrix: diagonal(p, i, j) of its lower triangle, and above(p, i, j) of S_{l,l+1}.
   template <typename Diagonal, typename Above>
   void read(Diagonal diagonal, Above above) {
-    share(packs_, Parts{m_ * height_}, [&](int p, int k) {
+    parallel_for(packs_, Parts{m_ * height_}, [&](int p, int k) {
       const int j = k / height_, h = k % height_;
       auto to = [&](int first) { return [=, this](int l) -> Pack& { return panel(l)[j * column() + first + h]; }; };
       if (h >= j / kWidth) to_links(p, h, 0, links_, [&](int i) { return diagonal(p, i, j); }, to(0));
@@ -37,13 +37,13 @@ class Chain {
   }
 
   void factor() {
-    share_among_teams(2, [&](int end) {
+    parallel_for_teams(2, [&](int end) {
       for (int t = 0; t < count(end); ++t) {
         const Neighbour before = eliminated(end, t - 1);
         eliminate(link(end, t), scaled(end, t), std::span(&before, t > 0));
       }
     });
-    share_among_teams(1, [&](int) {
+    parallel_for_teams(1, [&](int) {
       Neighbour before[2];
       int many = 0;
       for (int end = 0; end < 2; ++end)
@@ -55,26 +55,26 @@ class Chain {
   // For S right sides: right(p, i, s) gives row i of side s, and ``solution`` what is found.
   template <int S, typename Right>
   void solve(Right right) {
-    share(packs_, Parts{height_ * S}, [&](int p, int k) {
+    parallel_for(packs_, Parts{height_ * S}, [&](int p, int k) {
       const int h = k / S, s = k % S;
       to_links(p, h, 0, links_, [&](int i) { return right(p, i, s); }, [&](int l) -> Pack& { return vector(l, s)[h]; });
     });
-    share_among_teams(2, [&](int end) {
+    parallel_for_teams(2, [&](int end) {
       for (int t = 0; t < count(end); ++t) {
         if (t > 0) take_from<S>(link(end, t - 1), link(end, t));
         descend<S>(link(end, t));
       }
     });
-    share_among_teams(1, [&](int) {
+    parallel_for_teams(1, [&](int) {
       for (int end = 0; end < 2; ++end)
         if (count(end) > 0) take_from<S>(link(end, count(end) - 1), middle_);
       descend<S>(middle_);
       ascend<S>(middle_, -1);
     });
-    share_among_teams(2, [&](int end) {
+    parallel_for_teams(2, [&](int end) {
       for (int t = count(end) - 1, next = middle_; t >= 0; --t) ascend<S>(link(end, t), next), next = link(end, t);
     });
-    share(packs_, Parts{height_ * S}, [&](int p, int k) {
+    parallel_for(packs_, Parts{height_ * S}, [&](int p, int k) {
       const int h = k / S, s = k % S;
       Pack v[kWidth];
       for (int lane = 0; lane < kWidth; ++lane) {
@@ -83,12 +83,12 @@ class Chain {
       }
       transpose(v);
       const int first = h * kWidth, end = std::min(m_, first + kWidth);
-      for (int i = first; i < end; ++i) solution_[(p * m_ + i) * kSides + s] = v[i - first];
+      for (int i = first; i < end; ++i) solution_[(p * m_ + i) * kMaxRhs + s] = v[i - first];
     });
   }
 
   // Row i of side s.
-  Pack solution(int p, int i, int s) const { return solution_[(p * m_ + i) * kSides + s]; }
+  Pack solution(int p, int i, int s) const { return solution_[(p * m_ + i) * kMaxRhs + s]; }
 
  private:
   static constexpr int kColumns = std::min(4, kWidth);  // at once, whose diagonal is in one pack
@@ -112,7 +112,7 @@ class Chain {
 
   Pack* panel(int l) const { return &panels_[l * panel()]; }
   Pack* scaled(int end, int t) const { return &scaled_[(2 * end + t % 2) * panel()]; }
-  Pack* vector(int l, int s) const { return &vector_[(l * kSides + s) * height_]; }
+  Pack* vector(int l, int s) const { return &vector_[(l * kMaxRhs + s) * height_]; }
 
   static double* numbers(Pack* v) { return reinterpret_cast<double*>(v); }
   static const double* numbers(const Pack* v) { return reinterpret_cast<const double*>(v); }
@@ -195,7 +195,7 @@ class Chain {
       Pack v[kWidth];
       for (int k = 0; k < kWidth; ++k) v[k] = h * kWidth + k < m_ ? unit[(h * kWidth + k) * column() + h] : all(0.0);
       transpose(v);
-      for (int k = 0; k < kWidth; ++k) turned_[(l * height_ + h) * kWidth + k] = v[k];
+      for (int k = 0; k < kWidth; ++k) transposed_[(l * height_ + h) * kWidth + k] = v[k];
     }
   }
 
@@ -247,7 +247,7 @@ class Chain {
       }
 #pragma GCC unroll 8
       for (int k = kWidth - 1; k > 0; --k)
-        for (int s = 0; s < S; ++s) v[s] -= turned_[(l * height_ + h) * kWidth + k] * all(v[s][k]);
+        for (int s = 0; s < S; ++s) v[s] -= transposed_[(l * height_ + h) * kWidth + k] * all(v[s][k]);
       for (int s = 0; s < S; ++s) vector(l, s)[h] = v[s];
     }
   }
@@ -262,7 +262,7 @@ class Chain {
   Packs panels_;             // of the matrix, and then L below its diagonal
   Packs scaled_;             // L D, of the last two blocks from each end
   Packs inverse_;            // of D
-  Packs turned_;             // L on the diagonal by rows, a pack of them: to go up without sums across a register
+  Packs transposed_;             // L on the diagonal by rows, a pack of them: to go up without sums across a register
   Packs vector_, solution_;  // by links, and by packs
 };
 

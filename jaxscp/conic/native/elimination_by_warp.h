@@ -8,7 +8,7 @@
 #pragma once
 
 #include "layout.h"
-#include "shared_room.h"
+#include "shared_memory.h"
 
 namespace jaxscp {
 
@@ -22,7 +22,7 @@ JAXSCP_CALLED void invert_factor(double* tile) {
   // small enough, a row's even columns have a lane and its odd ones another
   constexpr int kHalves = 2 * kSize <= kWarp ? 2 : 1, kOther = kWarp / 2, kSlots = (kSize + kHalves - 1) / kHalves;
   constexpr int kAtOnce = 4;  // numbers of others that are read before they are used
-  static_assert(kSize <= kWarp && 4 * kSize <= kPassed, "a lane for each row");
+  static_assert(kSize <= kWarp && 4 * kSize <= kWarpScratch, "a lane for each row");
   struct alignas(16) Both {
     double column, next;
   };
@@ -34,15 +34,15 @@ JAXSCP_CALLED void invert_factor(double* tile) {
     const int j = s * kHalves + half;
     row[s] = there && j < kSize ? tile[j * kSize + i] : 0.0;
   }
-  Both* eliminated = reinterpret_cast<Both*>(passed());  // zero from kSize on
+  Both* eliminated = reinterpret_cast<Both*>(warp_scratch());  // zero from kSize on
   for (int k = lane_of_warp(); k < 2 * kSize; k += kWarp) eliminated[k] = {0.0, 0.0};
   __syncwarp();
 #pragma unroll
   for (int j = 0; j + 1 < kSize; j += 2) {
-    const double mine = kHalves == 2 ? __shfl_sync(kEvery, row[0], i) : row[0];
-    const double mine_next = kHalves == 2 ? __shfl_sync(kEvery, row[0], i + kOther) : row[1 % kSlots];
-    const double a = __shfl_sync(kEvery, mine, j), b = __shfl_sync(kEvery, mine, j + 1);
-    const double c = __shfl_sync(kEvery, mine_next, j + 1);
+    const double mine = kHalves == 2 ? __shfl_sync(kAllLanes, row[0], i) : row[0];
+    const double mine_next = kHalves == 2 ? __shfl_sync(kAllLanes, row[0], i + kOther) : row[1 % kSlots];
+    const double a = __shfl_sync(kAllLanes, mine, j), b = __shfl_sync(kAllLanes, mine, j + 1);
+    const double c = __shfl_sync(kAllLanes, mine_next, j + 1);
     const double over = inverse_root(a), over_next = a * over * inverse_root(a * c - b * b), between = b * over;
     const bool turn = i == j, turn_next = i == j + 1, spent = turn || turn_next;
     const double first = turn ? over : turn_next ? 0.0 : mine * over;
@@ -67,7 +67,7 @@ JAXSCP_CALLED void invert_factor(double* tile) {
     __syncwarp();
   }
   if (constexpr int j = kSize - 1; kSize % 2 == 1) {
-    const double over = inverse_root(__shfl_sync(kEvery, row[0], j));
+    const double over = inverse_root(__shfl_sync(kAllLanes, row[0], j));
     if (there && half == 0) tile[j * kSize + i] = (i == j ? 1.0 : row[0]) * over;
   }
   __syncwarp();
@@ -184,7 +184,7 @@ inline void times_transposed(const double* triangle, const double* v, double* ou
       if (int i = 4 * k + quarter; i <= j && j < kSize)
         for (int s = 0; s < S; ++s) sums[s] += triangle[j * (j + 1) / 2 + i] * v[i * S + s];
     for (int s = 0; s < S; ++s) {
-      for (int apart = 1; apart < 4; apart *= 2) sums[s] += __shfl_xor_sync(kEvery, sums[s], apart);
+      for (int distance = 1; distance < 4; distance *= 2) sums[s] += __shfl_xor_sync(kAllLanes, sums[s], distance);
       if (quarter == 0 && j < kSize) out[j * S + s] = sums[s];
     }
   }

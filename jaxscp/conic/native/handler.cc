@@ -14,20 +14,20 @@ namespace {
 
 // Whether others help with a program is for experience to say: their cores may be in use, and a thread that is not on a
 // core holds up all. The answer is the same either way.
-class Experience {
+class HelperTimings {
  public:
   bool prefers_help() {
     if (alone_ == 0.0 || helped_ == 0.0) return helped_ == 0.0;
-    return (helped_ < alone_) != (++turn_ % kAnew == 0);
+    return (helped_ < alone_) != (++turn_ % kTrialPeriod == 0);
   }
   void add(bool help, double seconds) {
     double& mean = help ? helped_ : alone_;
-    mean = mean == 0.0 ? seconds : mean + kNew * (std::min(seconds, 2.0 * mean) - mean);
+    mean = mean == 0.0 ? seconds : mean + kWeight * (std::min(seconds, 2.0 * mean) - mean);
   }
 
  private:
-  static constexpr int kAnew = 16;      // the other way is tried once in so many
-  static constexpr double kNew = 0.25;  // weight of the last
+  static constexpr int kTrialPeriod = 16;      // the other way is tried once in so many
+  static constexpr double kWeight = 0.25;  // weight of the last
   double alone_ = 0.0, helped_ = 0.0;  // of a step
   int turn_ = 0;
 };
@@ -41,13 +41,13 @@ struct Worker {
   Program program;
   Scales scales;
   InteriorPoint solver;
-  Experience experience;
+  HelperTimings experience;
 
   Worker(const Sizes& sizes, const Settings& settings)
-      : sizes(sizes), settings(settings), memory(room(sizes, settings)), arena(memory.data()),
+      : sizes(sizes), settings(settings), memory(workspace(sizes, settings)), arena(memory.data()),
         program(Layout(sizes), arena), scales(program, arena), solver(program, scales, settings, arena) {}
 
-  static long long room(const Sizes& sizes, const Settings& settings) {
+  static long long workspace(const Sizes& sizes, const Settings& settings) {
     Arena counting;
     Program program(Layout(sizes), counting);
     Scales scales(program, counting);
@@ -56,18 +56,18 @@ struct Worker {
   }
 
   static Worker& of_thread(const Sizes& sizes, const Settings& settings) {
-    thread_local std::unique_ptr<Worker> kept;
-    if (!kept || kept->sizes != sizes || kept->settings != settings) kept = std::make_unique<Worker>(sizes, settings);
-    return *kept;
+    thread_local std::unique_ptr<Worker> worker;
+    if (!worker || worker->sizes != sizes || worker->settings != settings) worker = std::make_unique<Worker>(sizes, settings);
+    return *worker;
   }
 };
 
 // Takes a seat for as long as it does something.
 template <typename Act>
-void seated(Team& team, int me, Act act) {
-  seat = {&team, me};
+void as_member(Team& team, int me, Act act) {
+  this_thread = {&team, me};
   act();
-  seat = {};
+  this_thread = {};
 }
 
 // One program by as many threads as have enough of it to do, where that is faster.
@@ -79,23 +79,23 @@ void solve_together(ffi::ThreadPool& pool, const Batch& batch, Worker& worker) {
   Team team(help ? threads : 1, packs);
   const auto begin = Clock::now();
   with_helpers(pool, help ? threads - 1 : 0,
-               [&] { seated(team, 0, [&] { solve_lane(batch, 0, worker.program, worker.scales, worker.solver); }); },
-               [&] { seated(team, -1, [&] { worker.solver.work(); }); });
+               [&] { as_member(team, 0, [&] { solve_element(batch, 0, worker.program, worker.scales, worker.solver); }); },
+               [&] { as_member(team, -1, [&] { worker.solver.work(); }); });
   const double seconds = std::chrono::duration<double>(Clock::now() - begin).count();
   worker.experience.add(help, seconds / (1 + worker.solver.iterations));
 }
 
 ffi::Error solve(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::RemainingRets rets, ffi::Dictionary attrs) {
-  auto found = shaped(args, rets, attrs);
+  auto found = sized_batch(args, rets, attrs);
   if (!found.has_value()) return found.error();
   const Batch& batch = found->batch;
-  if (batch.lanes == 1) {
+  if (batch.size == 1) {
     solve_together(pool, batch, Worker::of_thread(found->sizes, batch.settings));
   } else {
-    spread(pool, batch.lanes, [&](int64_t lane) {
+    spread(pool, batch.size, [&](int64_t element) {
       Worker& worker = Worker::of_thread(found->sizes, batch.settings);
       Team alone(1, worker.program.packs);
-      seated(alone, 0, [&] { solve_lane(batch, lane, worker.program, worker.scales, worker.solver); });
+      as_member(alone, 0, [&] { solve_element(batch, element, worker.program, worker.scales, worker.solver); });
     });
   }
   return ffi::Error::Success();

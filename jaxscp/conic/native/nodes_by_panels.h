@@ -13,8 +13,8 @@ class Nodes {
   Nodes(const Program& program, Arena& arena)
       : program_(program), shape_{program.n, program.n + 2 * program.m}, panel_(shape_.rows * shape_.size),
         gram_(program.m * program.m), panels_(arena.take(program.packs * panel_)),
-        grams_(arena.take(program.packs * 3 * gram_)), right_(arena.take(program.packs * shape_.size * kSides)),
-        found_(arena.take(program.packs * shape_.rows * kSides)) {}
+        grams_(arena.take(program.packs * 3 * gram_)), right_(arena.take(program.packs * shape_.size * kMaxRhs)),
+        found_(arena.take(program.packs * shape_.rows * kMaxRhs)) {}
 
   void read() {}
 
@@ -23,10 +23,10 @@ class Nodes {
   template <typename Add, typename Own, typename Diagonal>
   void factor(Chain& chain, const Scaling&, double, Add add, Own own, Diagonal diagonal) {
     const Program& g = program_;
-    share_among_teams(g.packs, [&](int p) {
+    parallel_for_teams(g.packs, [&](int p) {
       Pack* panel = &panels_[p * panel_];
       std::fill_n(panel, panel_, all(0.0));
-      add(p, Triangle{panel, shape_.size}, &right_[p * shape_.size * kSides]);
+      add(p, Triangle{panel, shape_.size}, &right_[p * shape_.size * kMaxRhs]);
       Pack* below = panel + shape_.size * shape_.size;
       g.after.each(p, [&](int i, int j, Pack v) { below[i * shape_.size + j] = v; });
       g.before.each(p, [&](int i, int j, Pack v) { below[(g.m + i) * shape_.size + j] = v; });
@@ -52,17 +52,17 @@ class Nodes {
   }
 
   // Solves for the nodes and for the links, whose own right sides are lacks(p, i, s).
-  template <int S, typename Lacks>
-  void solve(Chain& chain, Lacks lacks) {
+  template <int S, typename LinkRhs>
+  void solve(Chain& chain, LinkRhs link_rhs) {
     const Program& g = program_;
     const int n = g.n, m = g.m;
-    share_among_teams(g.packs, [&](int p) { descend<S>(shape_, &panels_[p * panel_], right(p), found(p)); });
+    parallel_for_teams(g.packs, [&](int p) { descend<S>(shape_, &panels_[p * panel_], right(p), found(p)); });
     auto below = [&](int p, int i, int s) { return p < 0 ? all(0.0) : g.of_nodes(p, found(p)[(n + i) * S + s]); };
     chain.template solve<S>([&](int p, int i, int s) {
       Pack from_before = one_before(below(p - 1, m + i, s), below(p, m + i, s));
-      return g.of_links(p, below(p, i, s) - lacks(p, i, s) + from_before);
+      return g.of_links(p, below(p, i, s) - link_rhs(p, i, s) + from_before);
     });
-    share_among_teams(g.packs, [&](int p) {
+    parallel_for_teams(g.packs, [&](int p) {
       for (int k = 0; k < m * S; ++k) {
         Pack here = chain.solution(p, k / S, k % S);
         Pack next = p + 1 < g.packs ? chain.solution(p + 1, k / S, k % S) : all(0.0);
@@ -88,8 +88,8 @@ class Nodes {
   };
 
   // Right sides are side by side.
-  Entries right(int p) const { return right_.of(p, shape_.size * kSides); }
-  Entries found(int p) const { return found_.of(p, shape_.rows * kSides); }
+  Entries right(int p) const { return right_.of(p, shape_.size * kMaxRhs); }
+  Entries found(int p) const { return found_.of(p, shape_.rows * kMaxRhs); }
 
   const Program& program_;
   PanelShape shape_;

@@ -13,7 +13,7 @@ class Nodes {
  public:
   Nodes(const Program& program, Arena& arena)
       : program_(program), inverse_(program, arena), factors_(arena.take(nodes * kTriangle)),
-        ties_(arena.take(nodes * kOfNode)), right_(arena.take(program.packs * n * kSides)),
+        coupling_(arena.take(nodes * kPerNode)), right_(arena.take(program.packs * n * kMaxRhs)),
         found_(arena.take(right_.size)) {}
 
   // Begins with another program: what ties nodes to links, node by node, and where among it an entry is.
@@ -21,7 +21,7 @@ class Nodes {
     const Matrix &after = program_.after, &before = program_.before;
     if (program_.changed) {
       inverse_.read();
-      share(2 * kPadded * n, [&](int k) {
+      parallel_for(2 * kPadded * n, [&](int k) {
         const int i = k / n, j = k % n, of_link = i % kPadded;
         const int e = of_link >= m ? -1 : i < kPadded ? after.number(i, j) : before.number(of_link, j);
         place()[k] = e < 0 ? -1 : i < kPadded ? e : after.entries + e;
@@ -29,13 +29,13 @@ class Nodes {
     }
     // a thread takes several of a node, which lie side by side here but not there
     const int many = after.entries + before.entries;
-    share(program_.packs, Parts{(many + kAtOnce - 1) / kAtOnce}, [&](int p, int k) {
+    parallel_for(program_.packs, Parts{(many + kAtOnce - 1) / kAtOnce}, [&](int p, int k) {
       if (p >= nodes) return;
       const Entries of_after = after.at(p), of_before = before.at(p);
-      double* tie = ties(p);
+      double* coupling_of = coupling(p);
 #pragma unroll
       for (int e = kAtOnce * k; e < kAtOnce * (k + 1); ++e)
-        if (e < many) tie[e] = e < after.entries ? of_after[e] : of_before[e - after.entries];
+        if (e < many) coupling_of[e] = e < after.entries ? of_after[e] : of_before[e - after.entries];
     });
   }
 
@@ -44,10 +44,10 @@ class Nodes {
   template <typename Add, typename Own, typename Diagonal>
   JAXSCP_CALLED void factor(Chain& chain, const Scaling& scaling, double regularisation, Add add, Own own,
                             Diagonal diagonal) {
-    const bool nearly_diagonal = inverse_.serves();
+    const bool nearly_diagonal = inverse_.supports();
     if (nearly_diagonal) inverse_.find(scaling, regularisation);
-    share_among_teams(nodes + 1, [&](int p) {
-      double *tile = tile_of_warp(), *of_link = passed();
+    parallel_for_teams(nodes + 1, [&](int p) {
+      double *tile = warp_tile(), *of_link = warp_scratch();
       auto compliance = [&](int i, int j) {
         return i < m && j < m ? of_link[i] * of_link[j] + (i == j ? of_link[m + i] : 0.0) : 0.0;
       };
@@ -65,7 +65,7 @@ class Nodes {
         return;
       }
       in_team(n * n, [&](int e) { tile[e] = 0.0; });
-      add(p, Triangle{tile}, passed());
+      add(p, Triangle{tile}, warp_scratch());
       invert_factor<n>(tile);
       double* factor = &factors_[p * kTriangle];
       for (int j = 0; j < n; ++j)
@@ -84,12 +84,12 @@ class Nodes {
   }
 
   // Solves for the nodes and for the links, whose own right sides are lacks(p, i, s).
-  template <int S, typename Lacks>
-  void solve(Chain& chain, Lacks lacks) {
+  template <int S, typename LinkRhs>
+  void solve(Chain& chain, LinkRhs link_rhs) {
     const Program& g = program_;
     times_inverses<S>();
     chain.template solve<S>([&](int p, int i, double (&total)[S]) {
-      for (int s = 0; s < S; ++s) total[s] = -lacks(p, i, s);
+      for (int s = 0; s < S; ++s) total[s] = -link_rhs(p, i, s);
       auto add = [&](const Matrix& matrix, int p) {
         Entries a = matrix.at(p), v = found(p);
         matrix.each_of_row(i, [&](int e, int j) {
@@ -99,7 +99,7 @@ class Nodes {
       if (p < nodes) add(g.after, p);
       if (p > 0) add(g.before, p - 1);
     });
-    share(g.packs, Parts{n}, [&](int p, int j) {
+    parallel_for(g.packs, Parts{n}, [&](int p, int j) {
       if (p >= nodes) return;
       double left[S];
       for (int s = 0; s < S; ++s) left[s] = right(p, s)[j];
@@ -124,7 +124,7 @@ class Nodes {
 
  private:
   static constexpr int n = ProgramLayout::n, m = ProgramLayout::m, nodes = ProgramLayout::nodes;
-  static constexpr int kOfNode = 2 * m * n;  // ties, at most
+  static constexpr int kPerNode = 2 * m * n;  // ties, at most
   static constexpr int kAtOnce = 4;  // of them
 
   // Entries (i, j) of a matrix by columns.
@@ -133,8 +133,8 @@ class Nodes {
     double& operator()(int i, int j) const { return first[j * n + i]; }
   };
 
-  Entries right(int p, int s) const { return right_.of(p, n * kSides) + s * n; }
-  Entries found(int p) const { return found_.of(p, n * kSides); }
+  Entries right(int p, int s) const { return right_.of(p, n * kMaxRhs) + s * n; }
+  Entries found(int p) const { return found_.of(p, n * kMaxRhs); }
   // Where among a node's ties is what it has in rows of its link, and then of the next, both padded.
   static short* place() {
     __shared__ short of_entry[2 * kPadded * n];
@@ -142,18 +142,18 @@ class Nodes {
   }
 
   // What ties node p to its link, and then to the next: the numbers of both matrices.
-  double* ties(int p) const { return &ties_[p * kOfNode]; }
+  double* coupling(int p) const { return &coupling_[p * kPerNode]; }
 
   // What the elimination of node p leaves in its links: of few rows of K at a time, as registers are few.
   template <typename Products, typename Compliance>
   void put(const Products& products, const Chain& chain, int p, Compliance compliance) const {
     using Row = typename Products::Row;
     const int lane = lane_of_warp(), row = lane / 4, column = lane % 4 * 2;
-    const double* tie = ties(p);
+    const double* coupling_of = coupling(p);
     auto find = [&](int s) {
       return products.find([&](int i, int j) {
         const int e = place()[(8 * s + i) * n + j];
-        return e < 0 ? 0.0 : tie[e];
+        return e < 0 ? 0.0 : coupling_of[e];
       });
     };
     Row later[kAcross];  // of the next link
@@ -196,47 +196,47 @@ class Nodes {
   // ``found_`` = A^-1 right at all nodes.
   template <int S>
   void times_inverses() {
-    if (!inverse_.serves()) return times_factors<S>();
-    share(program_.packs, Parts{0, S}, [&](int p, int s) {
-      soc::keep(inverse_.times(p, soc::hold(right(p, s), n)), found(p) + s * n);
+    if (!inverse_.supports()) return times_factors<S>();
+    parallel_for(program_.packs, Parts{0, S}, [&](int p, int s) {
+      soc::store(inverse_.times(p, soc::load(right(p, s), n)), found(p) + s * n);
     });
   }
 
   // The same by factors, which are fetched one ahead of their use.
   template <int S>
   JAXSCP_CALLED void times_factors() {
-    static_assert(2 * n * kSides <= kPassed);
-    share_among_teams(warps(), [&](int w) {
+    static_assert(2 * n * kMaxRhs <= kWarpScratch);
+    parallel_for_teams(warps(), [&](int w) {
       const int lane = lane_of_warp();
-      auto begin = [&](double* room, int p) { fetch(room, &factors_[p * kTriangle], p < nodes ? kTriangle : 0); };
-      double *room = tile_of_warp(), *other = room + kTriangle;
-      begin(room, w);
+      auto begin = [&](double* buffer, int p) { copy_async(buffer, &factors_[p * kTriangle], p < nodes ? kTriangle : 0); };
+      double *buffer = warp_tile(), *other = buffer + kTriangle;
+      begin(buffer, w);
 #pragma unroll 1
       for (int p = w; p < nodes; p += warps()) {
-        double *v = passed(), *u = passed() + n * S;
+        double *v = warp_scratch(), *u = warp_scratch() + n * S;
         begin(other, p + warps());
         in_team(n * S, [&](int k) { v[k] = right(p, k % S)[k / S]; });
-        wait_for_fetched<1>();
-        times_transposed<S, n>(room, v, u);
+        wait_for_copies<1>();
+        times_transposed<S, n>(buffer, v, u);
         if (lane < n) {
           double part[2][S] = {};  // in turn: neither waits for the one before
 #pragma unroll
           for (int j = 0; j < n; ++j)
             if (j >= lane)
-              for (int s = 0; s < S; ++s) part[j % 2][s] += room[j * (j + 1) / 2 + lane] * u[j * S + s];
+              for (int s = 0; s < S; ++s) part[j % 2][s] += buffer[j * (j + 1) / 2 + lane] * u[j * S + s];
           for (int s = 0; s < S; ++s) found(p)[s * n + lane] = part[0][s] + part[1][s];
         }
         __syncwarp();
-        double* last = room;
-        room = other, other = last;
+        double* last = buffer;
+        buffer = other, other = last;
       }
-      wait_for_fetched<0>();
+      wait_for_copies<0>();
     });
   }
 
   const Program& program_;
   NearlyDiagonal inverse_;
-  Packs factors_, ties_, right_, found_;
+  Packs factors_, coupling_, right_, found_;
 };
 
 }  // namespace jaxscp

@@ -6,26 +6,26 @@
 #pragma once
 
 #include "arena.h"
-#include "threads.h"
+#include "parallel.h"
 
 namespace jaxscp {
 
 // What the program is made of, row-major, the chain first.
-struct Given {
-  const double *hessian, *gradient, *before, *after, *link_offset, *soft, *link_weight, *row_matrix, *row_offset;
+struct ProgramData {
+  const double *hessian, *gradient, *before, *after, *link_offset, *soft, *penalty_weight, *row_matrix, *row_offset;
   struct ConeGroup {
-    const double *matrix, *offset, *near;
+    const double *matrix, *offset, *warm;
     int rows;  // at a node
   } cones[kMaxGroups];
   const double *norm_weight, *norm_scale, *norm_centre;
-  const double *near_z, *near_links, *near_rows;  // where the solution is thought to be, if anywhere
+  const double *warm_z, *warm_links, *warm_rows;  // where the solution is thought to be, if anywhere
 };
 
 // Takes entries of ``size`` numbers at each of the first ``count`` places into packs, ``stride`` packs an entry apart.
 // Who needs them is to wait for it, here and where they are put back.
 JAXSCP_CALLED inline void gather(const double* from, int count, int size, Packs to, int offset, int stride,
                                  double beyond = 0.0) {
-  visit(to.size / stride, Parts{size}, [&](int p, int i) {
+  parallel_for_nowait(to.size / stride, Parts{size}, [&](int p, int i) {
     for (int lane = 0; lane < kWidth; ++lane) {
       int k = p * kWidth + lane;
       set(to.of(p, stride)[offset + i], lane, k < count ? from[static_cast<long long>(k) * size + i] : beyond);
@@ -34,15 +34,15 @@ JAXSCP_CALLED inline void gather(const double* from, int count, int size, Packs 
 }
 
 JAXSCP_CALLED inline void scatter(Packs from, int offset, int stride, int count, int size, double* to) {
-  visit(count, Parts{size}, [&](int k, int i) {
+  parallel_for_nowait(count, Parts{size}, [&](int k, int i) {
     to[k * size + i] = get(from.of(k / kWidth, stride)[offset + i], k % kWidth);
   });
 }
 
 // Where a matrix is read from: in one array, or in those of groups of cones.
-struct From {
+struct MatrixSource {
   const double* array;
-  const Given::ConeGroup* cones;
+  const ProgramData::ConeGroup* cones;
   int rows, columns;
 
   // Of an entry the number at each node.
@@ -53,7 +53,7 @@ struct From {
   };
   Entry entry(int i, int j) const {
     if (!cones) return {array + i * columns + j, static_cast<long long>(rows) * columns};
-    const Given::ConeGroup* group = cones;
+    const ProgramData::ConeGroup* group = cones;
     for (; i >= group->rows; ++group) i -= group->rows;
     return {group->matrix + i * columns + j, static_cast<long long>(group->rows) * columns};
   }
@@ -63,16 +63,16 @@ struct From {
 class Matrix {
  public:
   Matrix(int rows, int columns, int packs, Arena& arena)
-      : rows(rows), columns(columns), far_{arena.take_integers(rows + 1), arena.take_integers(rows * columns),
+      : rows(rows), columns(columns), index_{arena.take_integers(rows + 1), arena.take_integers(rows * columns),
                                            arena.take_integers(columns + 1), arena.take_integers(rows * columns)},
-        near_(far_), place_(arena.take_integers(rows * columns)), value_(arena.take(packs * rows * columns)) {}
+        fast_index_(index_), place_(arena.take_integers(rows * columns)), value_(arena.take(packs * rows * columns)) {}
 
   int size() const { return rows * columns; }
 
   // Takes an entry's numbers at all nodes. False where it is filled and was not in the last program, or the other way
   // round: entries are then to be numbered anew, and taken again.
-  bool read(int nodes, int packs, From from, int at) {
-    const From::Entry entry = from.entry(at / columns, at % columns);
+  bool read(int nodes, int packs, MatrixSource from, int at) {
+    const MatrixSource::Entry entry = from.entry(at / columns, at % columns);
     const bool known = entries >= 0, was_filled = known && place_[at] != kNone;
     const int e = was_filled ? place_[at] : 0;
     bool filled = false;
@@ -95,20 +95,20 @@ class Matrix {
   }
 
   // Numbers the filled entries.
-  JAXSCP_CALLED void enumerate(Near& near) {
-    list(far_.row_start, rows, columns, [&](int i, int j) { return i * columns + j; },
-         [&](int e, int i, int j, int at) { far_.of_row[e] = pair(i, j), place_[at] = e; });
-    list(far_.column_start, columns, rows, [&](int j, int i) { return i * columns + j; },
-         [&](int f, int, int i, int at) { far_.of_column[f] = pair(i, place_[at] - far_.row_start[i]); });
+  JAXSCP_CALLED void enumerate(FastIndices& warm) {
+    list(index_.row_start, rows, columns, [&](int i, int j) { return i * columns + j; },
+         [&](int e, int i, int j, int at) { index_.of_row[e] = pair(i, j), place_[at] = e; });
+    list(index_.column_start, columns, rows, [&](int j, int i) { return i * columns + j; },
+         [&](int f, int, int i, int at) { index_.of_column[f] = pair(i, place_[at] - index_.row_start[i]); });
     once([&] {
-      entries = far_.row_start[rows];
-      near_.row_start = near.take(far_.row_start, rows + 1), near_.of_row = near.take(far_.of_row, entries);
-      near_.column_start = near.take(far_.column_start, columns + 1);
-      near_.of_column = near.take(far_.of_column, entries);
+      entries = index_.row_start[rows];
+      fast_index_.row_start = warm.take(index_.row_start, rows + 1), fast_index_.of_row = warm.take(index_.of_row, entries);
+      fast_index_.column_start = warm.take(index_.column_start, columns + 1);
+      fast_index_.of_column = warm.take(index_.of_column, entries);
     });
-    near.copy(far_.row_start, near_.row_start, rows + 1), near.copy(far_.of_row, near_.of_row, entries);
-    near.copy(far_.column_start, near_.column_start, columns + 1);
-    near.copy(far_.of_column, near_.of_column, entries);
+    warm.copy(index_.row_start, fast_index_.row_start, rows + 1), warm.copy(index_.of_row, fast_index_.of_row, entries);
+    warm.copy(index_.column_start, fast_index_.column_start, columns + 1);
+    warm.copy(index_.of_column, fast_index_.of_column, entries);
   }
 
   Entries at(int pack) const { return value_.of(pack, entries); }
@@ -119,33 +119,33 @@ class Matrix {
   // of all that goes through rows and columns outgrows the instruction cache.
   template <typename Act>
   void each_of_row(int i, Act act) const {
-    const int end = near_.row_start[i + 1];
+    const int end = fast_index_.row_start[i + 1];
 #pragma unroll 2
-    for (int e = near_.row_start[i]; e < end; ++e) act(e, second(near_.of_row[e]));
+    for (int e = fast_index_.row_start[i]; e < end; ++e) act(e, second(fast_index_.of_row[e]));
   }
   // act(e, i) for every filled entry of column j: the e-th of all, in row i.
   template <typename Act>
   void each_of_column(int j, Act act) const {
-    const int end = near_.column_start[j + 1];
+    const int end = fast_index_.column_start[j + 1];
 #pragma unroll 2
-    for (int f = near_.column_start[j]; f < end; ++f) {
-      const int i = first(near_.of_column[f]);
-      act(near_.row_start[i] + second(near_.of_column[f]), i);
+    for (int f = fast_index_.column_start[j]; f < end; ++f) {
+      const int i = first(fast_index_.of_column[f]);
+      act(fast_index_.row_start[i] + second(fast_index_.of_column[f]), i);
     }
   }
   // By a team, act(i, j, value) for every filled entry.
   template <typename Act>
   void each(int pack, Act act) const {
     Entries a = at(pack);
-    in_team(entries, [&](int e) { act(first(near_.of_row[e]), second(near_.of_row[e]), a[e]); });
+    in_team(entries, [&](int e) { act(first(fast_index_.of_row[e]), second(fast_index_.of_row[e]), a[e]); });
   }
 
   // Every entry is multiplied by row(p, i) and column(p, j).
   template <typename Row, typename Column>
   void scale(int packs, Row row, Column column) {
-    share(packs, Parts{entries}, [&](int p, int e) {
+    parallel_for(packs, Parts{entries}, [&](int p, int e) {
       Pack& v = at(p)[e];
-      v = row(p, first(near_.of_row[e])) * v * column(p, second(near_.of_row[e]));
+      v = row(p, first(fast_index_.of_row[e])) * v * column(p, second(fast_index_.of_row[e]));
     });
   }
 
@@ -184,20 +184,20 @@ class Matrix {
   // Number the filled places by lines (rows or columns): line i's begin with begin[i].
   template <typename Place, typename Put>
   void list(int* begin, int lines, int length, Place place, Put put) {
-    share(lines, [&](int i) {
+    parallel_for(lines, [&](int i) {
       int count = 0;
       for (int j = 0; j < length; ++j) count += place_[place(i, j)] != kNone;
       begin[i + 1] = count;
     });
     add_up(begin, lines);
-    share(lines, [&](int i) {
+    parallel_for(lines, [&](int i) {
       int number = begin[i];
       for (int j = 0; j < length; ++j)
         if (int at = place(i, j); place_[at] != kNone) put(number++, i, j, at);
     });
   }
 
-  Index far_, near_;
+  Index index_, fast_index_;
   int* place_;  // of an entry among them all
   Packs value_;
 };
@@ -207,7 +207,7 @@ class Program : public ProgramLayout {
   Matrix hessian, after, before, rows, user;  // ``before``: E of the link after the node
   Packs soft, scale;
   Packs q, b;
-  Given given;  // where it is to be read from
+  ProgramData data;  // where it is to be read from
   bool changed = false;  // whether other entries of its matrices are filled than of the last program's
 
   Program(const Layout& layout, Arena& arena)
@@ -217,37 +217,37 @@ class Program : public ProgramLayout {
         multiplier_(arena.take(packs * m)) {}
 
   JAXSCP_CALLED void read() {
-    const Given& g = given;
+    const ProgramData& g = data;
     once([&] { changed = false; });
     read_matrices();
     if (changed) {
-      Near near;
-      each_matrix([&](Matrix& matrix, From) { matrix.enumerate(near); });
+      FastIndices warm;
+      each_matrix([&](Matrix& matrix, MatrixSource) { matrix.enumerate(warm); });
       read_matrices();
     }
     gather(g.soft, nodes + 1, m, soft, 0, m);
 
-    share(q.size, [&](int i) { q[i] = all(0.0); });  // which waits for ``soft`` too
+    parallel_for(q.size, [&](int i) { q[i] = all(0.0); });  // which waits for ``soft`` too
     gather(g.gradient, nodes, n, q, 0, primal.size);
-    gather(g.link_weight, nodes + 1, 1, q, zeta, primal.size);
-    gather_cones(g.row_offset, 1.0, &Given::ConeGroup::offset, g.link_offset, b);
+    gather(g.penalty_weight, nodes + 1, 1, q, zeta, primal.size);
+    gather_cones(g.row_offset, 1.0, &ProgramData::ConeGroup::offset, g.link_offset, b);
     if (has_norm) {
       gather(g.norm_weight, nodes, 1, q, xi, primal.size);
       gather(g.norm_scale, nodes, n, scale, 0, n);
       gather(g.norm_centre, nodes, n, b, trust + 1, cone.size);
       wait();
-      share(packs, Parts{n}, [&](int p, int i) { of_cones(b, p)[trust + 1 + i] *= -scale.of(p, n)[i]; });
+      parallel_for(packs, Parts{n}, [&](int p, int i) { of_cones(b, p)[trust + 1 + i] *= -scale.of(p, n)[i]; });
     }
   }
 
   // The point that is thought to be near: its variables without bounds of norms, and its multipliers with as much at the
   // heads of cones as the prices of these bounds ask for. The trust region's tail is not known, and taken for zero.
-  JAXSCP_CALLED void read_near(Packs x, Packs y) const {
-    const Given& g = given;
-    share(x.size, [&](int i) { x[i] = all(0.0); });
-    gather(g.near_z, nodes, n, x, 0, primal.size);
-    gather_cones(g.near_rows, 0.0, &Given::ConeGroup::near, g.near_links, y);
-    share(packs, Parts{1}, [&](int p, int) {
+  JAXSCP_CALLED void read_warm_start(Packs x, Packs y) const {
+    const ProgramData& g = data;
+    parallel_for(x.size, [&](int i) { x[i] = all(0.0); });
+    gather(g.warm_z, nodes, n, x, 0, primal.size);
+    gather_cones(g.warm_rows, 0.0, &ProgramData::ConeGroup::warm, g.warm_links, y);
+    parallel_for(packs, Parts{1}, [&](int p, int) {
       of_cones(y, p)[virtual_] = of_primal(q, p)[zeta];
       if (has_norm) of_cones(y, p)[trust] = of_primal(q, p)[xi];
     });
@@ -260,7 +260,7 @@ class Program : public ProgramLayout {
   // P x, A x and A'y.
   JAXSCP_CALLED void times(Packs x, Packs y, Packs px, Packs ax, Packs aty) const {
     begin_times(x, y);
-    share(packs, products(), [&](int p, int k) {
+    parallel_for(packs, products(), [&](int p, int k) {
       product(p, k, x, y, [&](int i, Pack v) { of_cones(ax, p)[i] = v; },
               [&](int j, Pack curved, Pack dual) { of_primal(px, p)[j] = curved, of_primal(aty, p)[j] = dual; });
     });
@@ -268,8 +268,8 @@ class Program : public ProgramLayout {
 
   // A x alone.
   JAXSCP_CALLED void times_constraints(Packs x, Packs ax) const {
-    share(packs, Parts{m}, [&](int p, int k) { carry_.of(p, m)[k] = carried(p, k, x); });
-    share(packs, Parts{constraints()}, [&](int p, int k) {
+    parallel_for(packs, Parts{m}, [&](int p, int k) { carry_.of(p, m)[k] = carried(p, k, x); });
+    parallel_for(packs, Parts{constraints()}, [&](int p, int k) {
       constraint(p, k, of_primal(x, p), [&](int i, Pack v) { of_cones(ax, p)[i] = v; });
     });
   }
@@ -277,11 +277,11 @@ class Program : public ProgramLayout {
   // The same by parts, for who uses them at once: what neighbours have of each other, and then so many parts of a place.
   // Part k calls row(i, entry i of A x), for two rows where it is a link's, or variable(j, entry j of P x, and of A'y).
   JAXSCP_CALLED void begin_times(Packs x, Packs y) const {
-    visit(packs, Parts{m}, [&](int p, int k) { carry_.of(p, m)[k] = carried(p, k, x); });
+    parallel_for_nowait(packs, Parts{m}, [&](int p, int k) { carry_.of(p, m)[k] = carried(p, k, x); });
     begin_transposed(y);
   }
   JAXSCP_CALLED void begin_transposed(Packs y) const {
-    share(packs, Parts{m}, [&](int p, int k) { multiplier_.of(p, m)[k] = link_multiplier(y, p, k); });
+    parallel_for(packs, Parts{m}, [&](int p, int k) { multiplier_.of(p, m)[k] = link_multiplier(y, p, k); });
   }
   Parts products() const { return {constraints() + primal.size}; }
   template <typename Row, typename Variable>
@@ -321,7 +321,7 @@ class Program : public ProgramLayout {
   // Half-spaces and second-order cones of every pack: a place in its part of a ConeVector, and which of its cones.
   template <typename HalfSpace, typename SecondOrder>
   void each(HalfSpace half_space, SecondOrder second_order) const {
-    share(packs, Parts{r, cone_count}, [&](int p, int k) {
+    parallel_for(packs, Parts{r, cone_count}, [&](int p, int k) {
       if (k < r) return half_space(p, k);
       Cone c = cone_at(k - r);
       second_order(p, c.offset, c.dimension, k - r);
@@ -329,13 +329,13 @@ class Program : public ProgramLayout {
   }
 
   JAXSCP_CALLED void clear_zero_cone(Packs v) const {
-    share(packs, Parts{m}, [&](int p, int i) { of_cones(v, p)[zero + i] = all(0.0); });
+    parallel_for(packs, Parts{m}, [&](int p, int i) { of_cones(v, p)[zero + i] = all(0.0); });
   }
 
   // Places beyond the chain's end hold nothing that counts; what is carried to others or summed is taken from here.
   Pack of_nodes(int p, Pack v) const { return where(within(p, nodes), v, all(0.0)); }
   Pack of_links(int p, Pack v) const { return where(within(p, nodes + 1), v, all(0.0)); }
-  Pack of_places(int p, int i, Shape shape, Pack v) const {
+  Pack of_stages(int p, int i, Shape shape, Pack v) const {
     return i < shape.of_node ? of_nodes(p, v) : of_links(p, v);
   }
 
@@ -343,18 +343,18 @@ class Program : public ProgramLayout {
   using Largest = Totals<0, 2>;
   JAXSCP_CALLED Largest largest_of_vectors() const {
     return fold(packs, Parts{primal.size + cone.size}, Largest::none(), [&](int p, int k, Largest& found) {
-      if (k < primal.size) return found.see(0, of_places(p, k, primal, magnitude(of_primal(q, p)[k])));
+      if (k < primal.size) return found.see(0, of_stages(p, k, primal, magnitude(of_primal(q, p)[k])));
       const int i = k - primal.size;
-      found.see(1, of_places(p, i, cone, magnitude(of_cones(b, p)[i])));
+      found.see(1, of_stages(p, i, cone, magnitude(of_cones(b, p)[i])));
     });
   }
 
  private:
   JAXSCP_CALLED void read_matrices() {
     int size = 0;
-    each_matrix([&](Matrix& matrix, From) { size += matrix.size(); });
-    share(size, [&](int at) {
-      each_matrix([&](Matrix& matrix, From from) {
+    each_matrix([&](Matrix& matrix, MatrixSource) { size += matrix.size(); });
+    parallel_for(size, [&](int at) {
+      each_matrix([&](Matrix& matrix, MatrixSource from) {
         if (at >= 0 && at < matrix.size() && !matrix.read(nodes, packs, from, at)) changed = true;
         at -= matrix.size();
       });
@@ -364,7 +364,7 @@ class Program : public ProgramLayout {
   // act(matrix, where it is read from)
   template <typename Act>
   void each_matrix(Act act) {
-    const Given& g = given;
+    const ProgramData& g = data;
     act(hessian, {g.hessian, nullptr, n, n});
     act(after, {g.after, nullptr, m, n});
     act(before, {g.before + m * n, nullptr, m, n});
@@ -374,19 +374,19 @@ class Program : public ProgramLayout {
 
   // A ConeVector of numbers of half-spaces, which are ``beyond`` past the chain's end, of the user's cones, and of links:
   // those of hard rows are in the zero cone, of soft ones in the virtual control's. All else is zero.
-  JAXSCP_CALLED void gather_cones(const double* of_rows, double beyond, const double* Given::ConeGroup::*of_cone,
+  JAXSCP_CALLED void gather_cones(const double* of_rows, double beyond, const double* ProgramData::ConeGroup::*of_cone,
                                   const double* of_links, Packs to) const {
-    share(to.size, [&](int i) { to[i] = all(0.0); });
+    parallel_for(to.size, [&](int i) { to[i] = all(0.0); });
     gather(of_rows, nodes, r, to, 0, cone.size, beyond);
     int at = r;
     for (int c = 0; c < sizes.groups; ++c) {
-      const int size = given.cones[c].rows;
-      gather(given.cones[c].*of_cone, nodes, size, to, at, cone.size);
+      const int size = data.cones[c].rows;
+      gather(data.cones[c].*of_cone, nodes, size, to, at, cone.size);
       at += size;
     }
     gather(of_links, nodes + 1, m, to, zero, cone.size);
     wait();
-    share(packs, Parts{m}, [&](int p, int i) {
+    parallel_for(packs, Parts{m}, [&](int p, int i) {
       Entries v = of_cones(to, p);
       Pack s = soft.of(p, m)[i], link = v[zero + i];
       v[zero + i] = (1.0 - s) * link;

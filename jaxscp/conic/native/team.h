@@ -12,13 +12,13 @@
 
 namespace jaxscp {
 
-constexpr int kFoundTogether = 12;  // sums and the like, at most
+constexpr int kMaxTotals = 12;  // sums and the like, at most
 
 class Team {
  public:
   // For up to ``most`` threads, whose sums are over up to ``packs``.
   Team(int most, int packs)
-      : most_(most), parts_{std::vector<Pack>(packs * kFoundTogether), std::vector<Pack>(packs * kFoundTogether)} {}
+      : max_iterations_(most), parts_{std::vector<Pack>(packs * kMaxTotals), std::vector<Pack>(packs * kMaxTotals)} {}
 
   int size() const { return size_; }
 
@@ -36,8 +36,8 @@ class Team {
   // Between phases: the number of a thread that wants to join, which waits here until it takes part. Negative where it
   // does not, as no others are needed, or what it was to do is done.
   int join() {
-    const int me = ++comers_;
-    if (me >= most_) return -1;
+    const int me = ++joining_;
+    if (me >= max_iterations_) return -1;
     until([&] { return admitted_.load(std::memory_order_acquire) > me || closed_.load(std::memory_order_acquire); });
     return admitted_.load(std::memory_order_acquire) > me ? me : -1;
   }
@@ -49,8 +49,8 @@ class Team {
       return me < size_;
     }
     gather();
-    if (late_ > kPatience) closed_.store(true, std::memory_order_release);
-    resize(closed_ ? 1 : std::min(1 + comers_, most_));
+    if (late_ > kMaxDelays) closed_.store(true, std::memory_order_release);
+    resize(closed_ ? 1 : std::min(1 + joining_, max_iterations_));
     release();
     admitted_.store(size_, std::memory_order_release);
     return true;
@@ -67,7 +67,7 @@ class Team {
 
  private:
   static constexpr int kSpins = 400;     // a few microseconds: who is waited for may not be on a core
-  static constexpr int kPatience = 15;   // how often that, before others are not worth waiting for
+  static constexpr int kMaxDelays = 15;   // how often that, before others are not worth waiting for
   static constexpr int kYields = 1000;   // half a millisecond: as bad as all of these
 
   // Returns when it holds: how often its core was offered to others meanwhile.
@@ -90,7 +90,7 @@ class Team {
   }
   void gather() {
     int yields = until([&] { return arrived_.load(std::memory_order_acquire) == size_ - 1; });
-    if (yields > 0) late_ += yields > kYields ? kPatience + 1 : 1;
+    if (yields > 0) late_ += yields > kYields ? kMaxDelays + 1 : 1;
     arrived_.store(0, std::memory_order_relaxed);
   }
   void release() { round_.store(round_.load(std::memory_order_relaxed) + 1, std::memory_order_release); }
@@ -100,9 +100,9 @@ class Team {
     until([&] { return round_.load(std::memory_order_acquire) != round; });
   }
 
-  const int most_;
+  const int max_iterations_;
   int size_ = 1, late_ = 0;  // changed by the first thread, while the others wait for it
-  std::atomic<int> comers_{0};
+  std::atomic<int> joining_{0};
   alignas(64) std::atomic<int> arrived_{0};
   alignas(64) std::atomic<long long> round_{0};
   alignas(64) std::atomic<int> admitted_{1};
@@ -111,11 +111,11 @@ class Team {
 };
 
 // A thread's place in its team.
-struct Seat {
+struct TeamMember {
   Team* team = nullptr;
   int me = 0;    // the first is zero, and who has not joined yet is negative
   int turn = 0;  // of ``Team::parts``
 };
-inline thread_local Seat seat;
+inline thread_local TeamMember this_thread;
 
 }  // namespace jaxscp

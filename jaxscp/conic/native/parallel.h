@@ -28,7 +28,7 @@ constexpr int kWarp = 32;
 // Warps of a block: at most so many, and how many there are is for who launches it to say.
 constexpr int kMostWarps = JAXSCP_ALONE / kWarp;
 inline int warps() { return static_cast<int>(blockDim.x) / kWarp; }
-constexpr unsigned kEvery = 0xffffffff;  // lane of the warp
+constexpr unsigned kAllLanes = 0xffffffff;  // lane of the warp
 
 inline void wait() { __syncthreads(); }
 
@@ -36,15 +36,15 @@ inline int lane_of_warp() { return threadIdx.x % kWarp; }
 inline int warp_of_block() { return threadIdx.x / kWarp; }
 // The same, for all lanes together: the compiler then knows it to be the same for all, and what depends on it alone is
 // found once for the warp.
-inline int common_warp() { return __shfl_sync(kEvery, warp_of_block(), 0); }
+inline int common_warp() { return __shfl_sync(kAllLanes, warp_of_block(), 0); }
 
 // What all threads know, as a condition on which they go ways apart. Said so to the compiler, or it takes lanes for
 // apart in all that is called behind it, which makes nearly twice the code.
-inline bool alike(bool known) { return __any_sync(kEvery, known); }
+inline bool uniform(bool known) { return __any_sync(kAllLanes, known); }
 
 // act(i) for i < count
 template <typename Act>
-inline void share(int count, Act act) {
+inline void parallel_for(int count, Act act) {
 #pragma unroll 1
   for (int first = common_warp() * kWarp; first < count; first += warps() * kWarp)
     if (int i = first + lane_of_warp(); i < count) act(i);
@@ -78,7 +78,7 @@ inline int lane_of_cone() { return lane_of_warp() % kLanesOfCone; }
 // act(p, k) for p < packs and all parts k. The lanes of a warp have neighbouring places and the same k; or so many of
 // them have a cone together, of places as many as lanes or several times so.
 template <typename Act>
-inline void visit(int packs, Parts parts, Act act) {
+inline void parallel_for_nowait(int packs, Parts parts, Act act) {
   const int rounds = (packs + kWarp - 1) / kWarp, rest = parts.single + parts.cones * kLanesOfCone;
 #pragma unroll 1
   for (int i = common_warp(); i < rounds * (rest + parts.rest); i += warps()) {
@@ -94,17 +94,17 @@ inline void visit(int packs, Parts parts, Act act) {
   }
 }
 template <typename Act>
-inline void share(int packs, Parts parts, Act act) {
-  visit(packs, parts, act);
+inline void parallel_for(int packs, Parts parts, Act act) {
+  parallel_for_nowait(packs, parts, act);
   wait();
 }
 
 // What is of a cone and not of each lane.
-inline Pack once_of_cone(Pack v) { return lane_of_cone() == 0 ? v : 0.0; }
+inline Pack once_per_cone(Pack v) { return lane_of_cone() == 0 ? v : 0.0; }
 
 // act(p) for p < count, each by a team: the lanes of a warp.
 template <typename Act>
-inline void share_among_teams(int count, Act act) {
+inline void parallel_for_teams(int count, Act act) {
 #pragma unroll 1
   for (int p = common_warp(); p < count; p += warps()) act(p);
   wait();
@@ -128,20 +128,20 @@ inline void once(Act act) {
 
 // begin[i + 1] becomes the sum of all such up to there, which follow begin[0] = 0.
 inline void add_up(int* begin, int count) {
-  share_among_teams(1, [&](int) {
+  parallel_for_teams(1, [&](int) {
     if (lane_of_warp() == 0) begin[0] = 0;
     int before = 0;
 #pragma unroll 1
     for (int first = 0; first < count; first += kWarp) {
       const int i = first + lane_of_warp();
       int total = i < count ? begin[i + 1] : 0;
-      for (int apart = 1; apart < kWarp; apart *= 2) {
-        const int other = __shfl_sync(kEvery, total, lane_of_warp() >= apart ? lane_of_warp() - apart : 0);
-        if (lane_of_warp() >= apart) total += other;
+      for (int distance = 1; distance < kWarp; distance *= 2) {
+        const int other = __shfl_sync(kAllLanes, total, lane_of_warp() >= distance ? lane_of_warp() - distance : 0);
+        if (lane_of_warp() >= distance) total += other;
       }
       total += before;
       if (i < count) begin[i + 1] = total;
-      before = __shfl_sync(kEvery, total, kWarp - 1);
+      before = __shfl_sync(kAllLanes, total, kWarp - 1);
     }
   });
 }
@@ -155,11 +155,11 @@ template <typename Found, typename Act>
 inline Found fold(int packs, Parts parts, Found first, Act act) {
   __shared__ Found of_warps[kMostWarps];
   Found total = first;
-  visit(packs, parts, [&](int p, int k) { act(p, k, total); });
+  parallel_for_nowait(packs, parts, [&](int p, int k) { act(p, k, total); });
 #pragma unroll 1
-  for (int apart = kWarp / 2; apart > 0; apart /= 2) {
+  for (int distance = kWarp / 2; distance > 0; distance /= 2) {
     Found other;
-    for (int i = 0; i < Found::kMany; ++i) other[i] = __shfl_xor_sync(kEvery, total[i], apart);
+    for (int i = 0; i < Found::kMany; ++i) other[i] = __shfl_xor_sync(kAllLanes, total[i], distance);
     total.join(other);
   }
   if (lane_of_warp() == 0) of_warps[warp_of_block()] = total;
@@ -175,25 +175,25 @@ inline Found fold(int packs, Parts parts, Found first, Act act) {
 
 #define JAXSCP_CALLED
 
-inline bool alike(bool known) { return known; }
+inline bool uniform(bool known) { return known; }
 
-inline void wait() { seat.team->wait(seat.me); }
+inline void wait() { this_thread.team->wait(this_thread.me); }
 
 // Which of so many are this thread's: a stretch, so that it finds in its cache what it left there.
 inline std::pair<int, int> mine(int count) {
-  const long long size = seat.team->size(), me = seat.me;
+  const long long size = this_thread.team->size(), me = this_thread.me;
   return {static_cast<int>(count * me / size), static_cast<int>(count * (me + 1) / size)};
 }
 
 template <typename Act>
-inline void share(int count, Act act) {
+inline void parallel_for(int count, Act act) {
   auto [begin, end] = mine(count);
   for (int i = begin; i < end; ++i) act(i);
   wait();
 }
 
 template <typename Act>
-inline void visit(int packs, Parts parts, Act act) {
+inline void parallel_for_nowait(int packs, Parts parts, Act act) {
   const int count = parts.count();
   auto [begin, end] = mine(packs * count);
   for (int at = begin; at < end;) {
@@ -203,20 +203,20 @@ inline void visit(int packs, Parts parts, Act act) {
   }
 }
 template <typename Act>
-inline void share(int packs, Parts parts, Act act) {
-  visit(packs, parts, act);
+inline void parallel_for(int packs, Parts parts, Act act) {
+  parallel_for_nowait(packs, parts, act);
   wait();
 }
 
 template <typename Place, typename Value>
 inline void fill(int packs, int count, Place place, Value value) {
-  share(packs, Parts{count}, [&](int p, int i) { place(p, i) = value(p, i); });
+  parallel_for(packs, Parts{count}, [&](int p, int i) { place(p, i) = value(p, i); });
 }
 
 // A team of its own is what a thread is here.
 template <typename Act>
-inline void share_among_teams(int count, Act act) {
-  share(count, act);
+inline void parallel_for_teams(int count, Act act) {
+  parallel_for(count, act);
 }
 
 template <typename Act>
@@ -224,12 +224,12 @@ inline void in_team(int count, Act act) {
   for (int i = 0; i < count; ++i) act(i);
 }
 
-inline Pack once_of_cone(Pack v) { return v; }
+inline Pack once_per_cone(Pack v) { return v; }
 
 template <typename Act>
 inline void once(Act act) {
   wait();
-  if (seat.me == 0) act();
+  if (this_thread.me == 0) act();
   wait();
 }
 
@@ -242,21 +242,21 @@ inline void add_up(int* begin, int count) {
 
 // At the head of what all do together: lets in who wants to take part, at the same place. False for who does not.
 inline bool admit() {
-  seat.turn = 0;
-  if (seat.me < 0) return (seat.me = seat.team->join()) > 0;
-  return seat.team->admit(seat.me);
+  this_thread.turn = 0;
+  if (this_thread.me < 0) return (this_thread.me = this_thread.team->join()) > 0;
+  return this_thread.team->admit(this_thread.me);
 }
 
 // Behind it: one goes on alone.
-inline void dismiss() { seat.team->dismiss(); }
+inline void dismiss() { this_thread.team->dismiss(); }
 
 // In an order that does not depend on how many threads there are, so that what is found does not.
 template <typename Found, typename Act>
 inline Found fold(int packs, Parts parts, Found first, Act act) {
   const int count = parts.count();
-  static_assert(Found::kMany <= kFoundTogether);
+  static_assert(Found::kMany <= kMaxTotals);
   constexpr int kTurns = Found::kMany > 1 ? 1 : 4;  // of one alone, parts in turn: none waits for the one before
-  Pack* of_packs = seat.team->parts(seat.turn ^= 1);
+  Pack* of_packs = this_thread.team->parts(this_thread.turn ^= 1);
   auto [begin, end] = mine(packs);
   for (int p = begin; p < end; ++p) {
     Found part[kTurns];
@@ -266,13 +266,13 @@ inline Found fold(int packs, Parts parts, Found first, Act act) {
       for (int i = 0; i < kTurns; ++i) act(p, k + i, part[i]);
     for (; k < count; ++k) act(p, k, part[0]);
     for (int i = 1; i < kTurns; ++i) part[0].join(part[i]);
-    for (int i = 0; i < Found::kMany; ++i) of_packs[p * kFoundTogether + i] = part[0][i];
+    for (int i = 0; i < Found::kMany; ++i) of_packs[p * kMaxTotals + i] = part[0][i];
   }
   wait();
   Found total = first;
   for (int p = 0; p < packs; ++p) {
     Found part;
-    for (int i = 0; i < Found::kMany; ++i) part[i] = of_packs[p * kFoundTogether + i];
+    for (int i = 0; i < Found::kMany; ++i) part[i] = of_packs[p * kMaxTotals + i];
     total.join(part);
   }
   Found whole = total;

@@ -3,12 +3,12 @@
 #pragma once
 
 #include "layout.h"
-#include "threads.h"
+#include "parallel.h"
 
 namespace jaxscp {
 
 constexpr int larger_of(int a, int b) { return a > b ? a : b; }
-constexpr int kPassed = 4 * larger_of(kLayout.n, kLayout.m);
+constexpr int kWarpScratch = 4 * larger_of(kLayout.n, kLayout.m);
 constexpr int even(int count) { return (count + 1) / 2 * 2; }  // what can be fetched
 // Of a node's factor; a tile has room for two.
 constexpr int kTriangle = even(kLayout.n * (kLayout.n + 1) / 2);
@@ -20,7 +20,7 @@ constexpr int kTile = 64, kAcross = (kLayout.m + 7) / 8, kPadded = 8 * kAcross;
 constexpr int kLower = kAcross * (kAcross + 1) / 2 * kTile, kSquare = kAcross * kAcross * kTile;
 constexpr int lower_tile(int s, int t) { return (s * (s + 1) / 2 + t) * kTile; }
 constexpr int square_tile(int s, int t) { return (s * kAcross + t) * kTile; }
-constexpr int kOfLink = 2 * kLower + kSquare;
+constexpr int kPerLink = 2 * kLower + kSquare;
 
 // By a team, act(tile, i, j) for each lower tile, which begins at ``tile``: i and j are the lane's row, and the first of
 // its two columns.
@@ -35,36 +35,36 @@ inline void each_lower_tile(Act act) {
 
 constexpr int kLine = 16;  // numbers that memory gives at once, where they begin at a multiple
 constexpr int kBlockSize = (kLayout.m * kLayout.m + kLine - 1) / kLine * kLine;  // of a block by columns
-constexpr int kFetched = 3;  // blocks of the chain that are in use or on their way
-constexpr int kAhead = larger_of(kOfLink, kFetched * kBlockSize);  // of an end of the chain
+constexpr int kBuffers = 3;  // blocks of the chain that are in use or on their way
+constexpr int kPrefetched = larger_of(kPerLink, kBuffers * kBlockSize);  // of an end of the chain
 // Solutions of the chain, of two sides, and what is passed to its middle from both ends; unless it is too long.
 constexpr int kSolutions = 2 * (kLayout.nodes + 3) * kLayout.m;
-constexpr bool kSolvedNear = kSolutions <= 1536;
-constexpr int kOfChain = kSolvedNear ? kSolutions : 0;
+constexpr bool kVectorsShared = kSolutions <= 1536;
+constexpr int kChainVectors = kVectorsShared ? kSolutions : 0;
 // Both ends are eliminated in tiles of two warps; what they fetch is where other warps have theirs.
-constexpr int shared_room_of(int warps) {
-  return warps * kPassed + kOfChain + larger_of(larger_of(warps, 2) * kTileSize, 2 * (kTileSize + kAhead));
+constexpr int shared_memory_size(int warps) {
+  return warps * kWarpScratch + kChainVectors + larger_of(larger_of(warps, 2) * kTileSize, 2 * (kTileSize + kPrefetched));
 }
 
 #if defined(JAXSCP_EMULATED_GPU)
-inline double* shared_room() {
-  alignas(16) static double room[shared_room_of(kMostWarps)];
+inline double* shared_memory() {
+  alignas(16) static double room[shared_memory_size(kMostWarps)];
   return room;
 }
-inline void fetch(double* to, const double* from, int count) {
+inline void copy_async(double* to, const double* from, int count) {
   in_team(count, [&](int i) { to[i] = from[i]; });
 }
 inline void put_pair(double* to, double first, double second) { to[0] = first, to[1] = second; }
 template <int kLeft>
-inline void wait_for_fetched() {
+inline void wait_for_copies() {
   __syncwarp();
 }
 #else
 extern __shared__ double2 jaxscp_shared[];
-inline double* shared_room() { return reinterpret_cast<double*>(jaxscp_shared); }
+inline double* shared_memory() { return reinterpret_cast<double*>(jaxscp_shared); }
 
 // Begins to copy an even count of numbers into shared memory: both are aligned to pairs.
-inline void fetch(double* to, const double* from, int count) {
+inline void copy_async(double* to, const double* from, int count) {
 #pragma unroll 4
   for (int i = 2 * lane_of_warp(); i < count; i += 2 * kWarp)
     asm volatile("cp.async.cg.shared.global [%0], [%1], 16;" ::"r"(
@@ -79,16 +79,16 @@ inline void put_pair(double* to, double first, double second) {
 }
 // Until no more than so many copies are under way, those that began last.
 template <int kLeft>
-inline void wait_for_fetched() {
+inline void wait_for_copies() {
   asm volatile("cp.async.wait_group %0;" ::"n"(kLeft) : "memory");
   __syncwarp();
 }
 #endif
 
-inline double* passed() { return shared_room() + warp_of_block() * kPassed; }
-inline double* of_chain() { return shared_room() + warps() * kPassed; }
-inline double* tiles() { return of_chain() + kOfChain; }
-inline double* tile_of_warp() { return tiles() + warp_of_block() * kTileSize; }
-inline double* ahead_of(int end) { return tiles() + 2 * kTileSize + end * kAhead; }
+inline double* warp_scratch() { return shared_memory() + warp_of_block() * kWarpScratch; }
+inline double* chain_vectors() { return shared_memory() + warps() * kWarpScratch; }
+inline double* tiles() { return chain_vectors() + kChainVectors; }
+inline double* warp_tile() { return tiles() + warp_of_block() * kTileSize; }
+inline double* prefetched(int end) { return tiles() + 2 * kTileSize + end * kPrefetched; }
 
 }  // namespace jaxscp

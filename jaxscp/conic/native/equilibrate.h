@@ -18,7 +18,7 @@ class Scales {
 
   // Finds them for a program that was read, and takes it to their units.
   JAXSCP_CALLED void apply(int rounds) {
-    for (Packs v : {columns, links, rows, user}) share(v.size, [&](int i) { v[i] = all(1.0); });
+    for (Packs v : {columns, links, rows, user}) parallel_for(v.size, [&](int i) { v[i] = all(1.0); });
     once([&] { cost = 1.0; });
     for (int round = 0; round < rounds; ++round) {
       measure();
@@ -31,7 +31,7 @@ class Scales {
   // Takes a point to them, and multipliers but for the heads of cones of norms.
   JAXSCP_CALLED void apply(Packs x, Packs y) const {
     const Program& g = program_;
-    share(g.packs, Parts{g.n}, [&](int p, int j) {
+    parallel_for(g.packs, Parts{g.n}, [&](int p, int j) {
       g.of_primal(x, p)[j] = g.of_primal(x, p)[j] / columns.of(p, g.n)[j];
     });
     multiply_rows(y, [&](Pack scale) { return cost / scale; });
@@ -48,8 +48,8 @@ class Scales {
   // Largest entries of the scaled program, by columns, rows and cones.
   JAXSCP_CALLED void measure() {
     const Program& g = program_;
-    share(g.packs, Parts{g.m}, [&](int p, int i) { before_.of(p, g.m)[i] = largest(g.before, p, i); });
-    share(g.packs, Parts{g.n + g.m + g.r + g.user_cones}, [&](int p, int k) {
+    parallel_for(g.packs, Parts{g.m}, [&](int p, int i) { before_.of(p, g.m)[i] = largest(g.before, p, i); });
+    parallel_for(g.packs, Parts{g.n + g.m + g.r + g.user_cones}, [&](int p, int k) {
       if (k < g.n) {
         columns_.of(p, g.n)[k] = columns.of(p, g.n)[k] * largest_of_column(p, k);
       } else if (const int i = k - g.n; i < g.m) {
@@ -94,22 +94,22 @@ class Scales {
   JAXSCP_CALLED void refine() {
     const Program& g = program_;
     using Largest = Totals<0, 1>;
-    const double price = fold(g.packs, Parts{g.n + 1}, Largest::none(), [&](int p, int j, Largest& found) {
+    const double largest = fold(g.packs, Parts{g.n + 1}, Largest::none(), [&](int p, int j, Largest& found) {
       Pack v = cost * magnitude(g.of_primal(g.q, p)[j < g.n ? j : g.xi]);
       if (j < g.n) v = v * columns.of(p, g.n)[j] * shrunk(columns_.of(p, g.n)[j]);
       found.see(0, g.of_nodes(p, v));
     }).largest(0);
     auto change = [&](Packs scales, Packs sizes) {
-      share(scales.size, [&](int i) { scales[i] = clipped(scales[i] * shrunk(sizes[i])); });
+      parallel_for(scales.size, [&](int i) { scales[i] = clipped(scales[i] * shrunk(sizes[i])); });
     };
     change(columns, columns_), change(rows, rows_), change(user, user_);
-    share(g.packs, Parts{g.m}, [&](int p, int i) {
+    parallel_for(g.packs, Parts{g.m}, [&](int p, int i) {
       Entries scale = links.of(p, g.m);
       const Pack size = where(g.soft.of(p, g.m)[i] > 0.0, largest_of_soft(links_, p), links_.of(p, g.m)[i]);
       scale[i] = clipped(scale[i] * shrunk(size));
     });
     // A cost without linear terms gives no hint: to take it for a tiny one would blow up the prices of the links.
-    once([&] { cost /= price > 0.0 ? price < kLowest ? kLowest : price > kHighest ? kHighest : price : 1.0; });
+    once([&] { cost /= largest > 0.0 ? largest < kLowest ? kLowest : largest > kHighest ? kHighest : largest : 1.0; });
   }
 
   // Of a link's rows with virtual control, which have one scale.
@@ -134,7 +134,7 @@ class Scales {
 
   JAXSCP_CALLED void scale_vectors() {
     const Program& g = program_;
-    share(g.packs, Parts{g.primal.size}, [&](int p, int j) {
+    parallel_for(g.packs, Parts{g.primal.size}, [&](int p, int j) {
       Pack by = all(cost);
       if (j < g.n) {
         const Pack column = columns.of(p, g.n)[j];
@@ -153,7 +153,7 @@ class Scales {
   template <typename Factor>
   void multiply_rows(Packs of, Factor factor) const {
     const Program& g = program_;
-    share(g.packs, Parts{g.r + g.u + g.m}, [&](int p, int i) {
+    parallel_for(g.packs, Parts{g.r + g.u + g.m}, [&](int p, int i) {
       Entries v = g.of_cones(of, p);
       if (i < g.r + g.u) {
         v[i] = factor(of_row(p, i)) * v[i];

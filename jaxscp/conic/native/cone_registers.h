@@ -5,7 +5,7 @@
 #pragma once
 
 #include "arena.h"
-#include "threads.h"
+#include "parallel.h"
 
 namespace jaxscp::soc {
 
@@ -18,7 +18,7 @@ constexpr int largest_cone() {
   return largest;
 }
 
-struct Held {
+struct ConeRegisters {
   static constexpr int kSlots = (largest_cone() + kLanesOfCone - 1) / kLanesOfCone;
   int d;
   Pack slots[kSlots];
@@ -29,37 +29,37 @@ struct Held {
 inline int entry_of(int slot) { return slot * kLanesOfCone + lane_of_cone(); }
 
 // The entries of a vector from here on, so many.
-inline Held hold(Entries from, int d) {
-  Held v{d};
+inline ConeRegisters load(Entries from, int d) {
+  ConeRegisters v{d};
 #pragma unroll
-  for (int k = 0; k < Held::kSlots; ++k) v[k] = entry_of(k) < d ? from[entry_of(k)] : 0.0;
+  for (int k = 0; k < ConeRegisters::kSlots; ++k) v[k] = entry_of(k) < d ? from[entry_of(k)] : 0.0;
   return v;
 }
 // Room for them.
-inline Held room(Entries, int d) { return {d}; }
+inline ConeRegisters output(Entries, int d) { return {d}; }
 // Puts them where they belong.
-inline void keep(const Held& v, Entries to) {
+inline void store(const ConeRegisters& v, Entries to) {
 #pragma unroll
-  for (int k = 0; k < Held::kSlots; ++k)
+  for (int k = 0; k < ConeRegisters::kSlots; ++k)
     if (entry_of(k) < v.d) to[entry_of(k)] = v[k];
 }
 
 // v[i] = value(i)
 template <typename Value>
-inline void each(Held& v, Value value) {
+inline void each(ConeRegisters& v, Value value) {
 #pragma unroll
-  for (int k = 0; k < Held::kSlots; ++k) v[k] = value(k);
+  for (int k = 0; k < ConeRegisters::kSlots; ++k) v[k] = value(k);
 }
 // The same, with the number of the entry: value(i, entry)
 template <typename Value>
-inline void each_entry(Held& v, Value value) {
+inline void each_entry(ConeRegisters& v, Value value) {
 #pragma unroll
-  for (int k = 0; k < Held::kSlots; ++k) v[k] = entry_of(k) < v.d ? value(k, entry_of(k)) : 0.0;
+  for (int k = 0; k < ConeRegisters::kSlots; ++k) v[k] = entry_of(k) < v.d ? value(k, entry_of(k)) : 0.0;
 }
 
-inline Pack of_all_lanes(Pack part) {
+inline Pack sum_over_lanes(Pack part) {
 #pragma unroll
-  for (int apart = 1; apart < kLanesOfCone; apart *= 2) part += __shfl_xor_sync(kEvery, part, apart);
+  for (int distance = 1; distance < kLanesOfCone; distance *= 2) part += __shfl_xor_sync(kAllLanes, part, distance);
   return part;
 }
 // The sum of value(i), which is zero beyond the last; and that without the head.
@@ -67,14 +67,14 @@ template <typename Value>
 inline Pack total(int, Value value) {
   Pack part = 0.0;
 #pragma unroll
-  for (int k = 0; k < Held::kSlots; ++k) part += value(k);
-  return of_all_lanes(part);
+  for (int k = 0; k < ConeRegisters::kSlots; ++k) part += value(k);
+  return sum_over_lanes(part);
 }
 // What this lane adds to a'b.
-inline Pack part_of_dot(const Held& a, const Held& b) {
+inline Pack part_of_dot(const ConeRegisters& a, const ConeRegisters& b) {
   Pack part = 0.0;
 #pragma unroll
-  for (int k = 0; k < Held::kSlots; ++k) part += a[k] * b[k];
+  for (int k = 0; k < ConeRegisters::kSlots; ++k) part += a[k] * b[k];
   return part;
 }
 template <typename Value>
@@ -82,27 +82,27 @@ inline Pack tail_total(int d, Value value) {
   return total(d, [&](int k) { return k == 0 && lane_of_cone() == 0 ? 0.0 : value(k); });
 }
 
-inline Pack head(const Held& v) { return __shfl_sync(kEvery, v[0], lane_of_warp() - lane_of_cone()); }
-inline void set_head(Held& v, Pack value) { v[0] = lane_of_cone() == 0 ? value : v[0]; }
+inline Pack head(const ConeRegisters& v) { return __shfl_sync(kAllLanes, v[0], lane_of_warp() - lane_of_cone()); }
+inline void set_head(ConeRegisters& v, Pack value) { v[0] = lane_of_cone() == 0 ? value : v[0]; }
 
 #else
 
-struct Held {
+struct ConeRegisters {
   Pack* data;
   int d;
   Pack& operator[](int i) const { return data[i]; }
 };
 
-inline Held hold(Entries from, int d) { return {from, d}; }
-inline Held room(Entries where, int d) { return {where, d}; }
-inline void keep(const Held&, Entries) {}
+inline ConeRegisters load(Entries from, int d) { return {from, d}; }
+inline ConeRegisters output(Entries where, int d) { return {where, d}; }
+inline void store(const ConeRegisters&, Entries) {}
 
 template <typename Value>
-inline void each(Held& v, Value value) {
+inline void each(ConeRegisters& v, Value value) {
   for (int i = 0; i < v.d; ++i) v[i] = value(i);
 }
 template <typename Value>
-inline void each_entry(Held& v, Value value) {
+inline void each_entry(ConeRegisters& v, Value value) {
   for (int i = 0; i < v.d; ++i) v[i] = value(i, i);
 }
 
@@ -122,12 +122,12 @@ template <typename Value>
 inline Pack tail_total(int d, Value value) {
   return sum(1, d, value);
 }
-inline Pack part_of_dot(const Held& a, const Held& b) {
+inline Pack part_of_dot(const ConeRegisters& a, const ConeRegisters& b) {
   return total(a.d, [&](int i) { return a[i] * b[i]; });
 }
 
-inline Pack head(const Held& v) { return v[0]; }
-inline void set_head(Held& v, Pack value) { v[0] = value; }
+inline Pack head(const ConeRegisters& v) { return v[0]; }
+inline void set_head(ConeRegisters& v, Pack value) { v[0] = value; }
 
 #endif
 
