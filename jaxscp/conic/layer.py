@@ -56,7 +56,8 @@ class ConicLayer(eqx.Module):
     first order: second derivatives raise a ``TypeError``. Only the symmetric part of the Hessian counts.
 
     If the program has no solution, or the iterations did not find one, ``z`` and ``multipliers`` are the interior
-    point's, and derivatives are NaN. With weight zero they are zero, so that ``differentiable`` can mask a batch element.
+    point's, and derivatives are NaN. With weight zero they are zero, so that ``differentiable`` can mask batch
+    elements.
 
     Derivatives are also NaN in directions, forward or reverse, in which the linear system has no accurate solution:
     along a face of many optima, and where redundant links would contradict each other. In other directions redundant

@@ -1,7 +1,7 @@
-// What a cone has of a vector, while it is worked on.
+// Entries of a vector in one second-order cone, in registers on a GPU.
 //
-// On a CPU it stays where it lies. On a GPU the lanes that share a cone have it in their registers, each every
-// so-manieth entry, with zeros beyond the last: all of it comes from memory at once, and the lanes wait but for that.
+// On a CPU the entries stay in memory. On a GPU, kLanesOfCone lanes share a cone; entry e is in lane e % kLanesOfCone,
+// and entries beyond the last are zero. All entries are loaded at once, so that the lanes wait for memory only once.
 #pragma once
 
 #include "arena.h"
@@ -28,16 +28,16 @@ struct ConeRegisters {
 
 inline int entry_of(int slot) { return slot * kLanesOfCone + lane_of_cone(); }
 
-// The entries of a vector from here on, so many.
+// d entries from memory.
 inline ConeRegisters load(Entries from, int d) {
   ConeRegisters v{d};
 #pragma unroll
   for (int k = 0; k < ConeRegisters::kSlots; ++k) v[k] = entry_of(k) < d ? from[entry_of(k)] : 0.0;
   return v;
 }
-// Room for them.
+// Entries that will be computed; on a CPU they are written directly to memory.
 inline ConeRegisters output(Entries, int d) { return {d}; }
-// Puts them where they belong.
+// Writes the entries to memory.
 inline void store(const ConeRegisters& v, Entries to) {
 #pragma unroll
   for (int k = 0; k < ConeRegisters::kSlots; ++k)
@@ -50,7 +50,7 @@ inline void each(ConeRegisters& v, Value value) {
 #pragma unroll
   for (int k = 0; k < ConeRegisters::kSlots; ++k) v[k] = value(k);
 }
-// The same, with the number of the entry: value(i, entry)
+// v[i] = value(i, entry), entry being the entry's number.
 template <typename Value>
 inline void each_entry(ConeRegisters& v, Value value) {
 #pragma unroll
@@ -62,7 +62,7 @@ inline Pack sum_over_lanes(Pack part) {
   for (int distance = 1; distance < kLanesOfCone; distance *= 2) part += __shfl_xor_sync(kAllLanes, part, distance);
   return part;
 }
-// The sum of value(i), which is zero beyond the last; and that without the head.
+// Sum of value(i), which must be zero beyond the last entry; ``tail_total`` leaves out the head.
 template <typename Value>
 inline Pack total(int, Value value) {
   Pack part = 0.0;
@@ -70,7 +70,7 @@ inline Pack total(int, Value value) {
   for (int k = 0; k < ConeRegisters::kSlots; ++k) part += value(k);
   return sum_over_lanes(part);
 }
-// What this lane adds to a'b.
+// This lane's contribution to a'b.
 inline Pack part_of_dot(const ConeRegisters& a, const ConeRegisters& b) {
   Pack part = 0.0;
 #pragma unroll
@@ -107,7 +107,7 @@ inline void each_entry(ConeRegisters& v, Value value) {
 }
 
 inline Pack sum(int first, int end, auto value) {
-  Pack total[4] = {all(0.0), all(0.0), all(0.0), all(0.0)};  // four in turn: none waits for the one before
+  Pack total[4] = {all(0.0), all(0.0), all(0.0), all(0.0)};  // four independent sums hide the latency of additions
   int i = first;
   for (; i + 4 <= end; i += 4)
     for (int k = 0; k < 4; ++k) total[k] += value(i + k);

@@ -1,5 +1,5 @@
-// Second-order cones {(t, v): |v| <= t}, one of each pack's places, and their Nesterov-Todd scaling. Formulas and
-// sources are those of ``cones.py``. A result may take the place of what it is made of.
+// Second-order cones {(t, v): |v| <= t}, one per stage of a pack, and their Nesterov-Todd scaling. Formulas and sources
+// are those of ``cones/second_order.py``. Results may overwrite arguments.
 #pragma once
 
 #include "cone_registers.h"
@@ -25,7 +25,7 @@ inline Pack determinant(const ConeRegisters& v) {
   return (t - norm) * (t + norm);
 }
 
-// out = a o b - less e
+// out = a o b - minus e
 inline void product(const ConeRegisters& a, const ConeRegisters& b, Pack minus, ConeRegisters& out) {
   Pack along = dot(a, b), a0 = head(a), b0 = head(b);
   each(out, [&](int i) { return a0 * b[i] + b0 * a[i]; });
@@ -40,7 +40,7 @@ inline void divide(const ConeRegisters& a, const ConeRegisters& b, ConeRegisters
   set_head(out, first);
 }
 
-// Over the largest step from a point that stays in the cone; not positive where every step does.
+// 1 / (largest step that stays in the cone); not positive if every step does.
 inline Pack inverse_step(const ConeRegisters& point, const ConeRegisters& direction) {
   Pack over = inverse_root(positive(determinant(point)));
   Pack p0 = head(point) * over, d0 = head(direction) * over;
@@ -99,12 +99,12 @@ inline void inverse_square(const ConeRegisters& w, Pack eta, const ConeRegisters
   set_head(out, by * (w0 * along - v0));
 }
 
-// (W^2)_{11}^-1 v for w's tail, split along and across it because the two parts differ by the square of its size.
+// (W^2)_{11}^-1 v for w's tail, split along and across the tail because the eigenvalues differ by 1 + 2 |tail|^2.
 inline void tail_inverse(const ConeRegisters& tail, Pack eta, const ConeRegisters& v, ConeRegisters& out) {
   Pack size = dot(tail, tail), over = inverse_root(positive(size));
   Pack part = dot(tail, v) * over;
   each(out, [&](int i) { return v[i] - tail[i] * over * part; });
-  Pack remainder = dot(tail, out) * over;  // twice is enough
+  Pack remainder = dot(tail, out) * over;  // removes the rounding of the first projection
   Pack by = inverse(eta * eta), shrunk = part * inverse(1.0 + 2.0 * size) - remainder;
   each(out, [&](int i) { return by * (out[i] + tail[i] * over * shrunk); });
 }

@@ -1,4 +1,4 @@
-// Ruiz's scales of a program, which is then in their units (``conic/equilibrate.py`` has the mathematics).
+// Ruiz equilibration of a program, as in ``conic/equilibrate.py``.
 #pragma once
 
 #include "program.h"
@@ -7,7 +7,7 @@ namespace jaxscp {
 
 class Scales {
  public:
-  Packs columns, links, rows, user;  // ``user``: of the rows of the user's cones, alike within a cone
+  Packs columns, links, rows, user;  // ``user``: rows of the user's cones, with one scale per cone
   double cost = 1.0;
 
   Scales(Program& program, Arena& arena)
@@ -16,7 +16,7 @@ class Scales {
         columns_(arena.take(columns.size)), links_(arena.take(links.size)), rows_(arena.take(rows.size)),
         user_(arena.take(user.size)), before_(arena.take(links.size)) {}
 
-  // Finds them for a program that was read, and takes it to their units.
+  // Finds the scales of the program, and scales the program.
   JAXSCP_CALLED void apply(int rounds) {
     for (Packs v : {columns, links, rows, user}) parallel_for(v.size, [&](int i) { v[i] = all(1.0); });
     once([&] { cost = 1.0; });
@@ -28,7 +28,7 @@ class Scales {
     scale_vectors();
   }
 
-  // Takes a point to them, and multipliers but for the heads of cones of norms.
+  // Scales variables x and multipliers y, except the heads of the norms' cones.
   JAXSCP_CALLED void apply(Packs x, Packs y) const {
     const Program& g = program_;
     parallel_for(g.packs, Parts{g.n}, [&](int p, int j) {
@@ -40,12 +40,12 @@ class Scales {
  private:
   static constexpr double kLowest = 1e-4, kHighest = 1e4, kEmpty = 1e-12;
 
-  // Of half-spaces, and then of rows of the user's cones.
+  // Scale of row i: half-spaces first, then rows of the user's cones.
   Pack of_row(int p, int i) const {
     return i < program_.r ? rows.of(p, program_.r)[i] : user.of(p, program_.u)[i - program_.r];
   }
 
-  // Largest entries of the scaled program, by columns, rows and cones.
+  // Largest entries of the scaled program in each column, row and cone.
   JAXSCP_CALLED void measure() {
     const Program& g = program_;
     parallel_for(g.packs, Parts{g.m}, [&](int p, int i) { before_.of(p, g.m)[i] = largest(g.before, p, i); });
@@ -67,7 +67,7 @@ class Scales {
     });
   }
 
-  // Of a row, but for its own scale.
+  // Largest entry of a row, without the row's own scale.
   Pack largest(const Matrix& matrix, int p, int i) const {
     Entries a = matrix.at(p), c = columns.of(p, program_.n);
     Pack found = all(0.0);
@@ -79,15 +79,15 @@ class Scales {
     Entries c = columns.of(p, g.n), link = links.of(p, g.m), next = links.of(p + 1, g.m);
     const bool last = p + 1 == g.packs;
     Pack found = all(0.0);
-    auto see = [&](const Matrix& matrix, auto scale) {
+    auto include = [&](const Matrix& matrix, auto scale) {
       Entries a = matrix.at(p);
       matrix.each_of_column(j, [&](int e, int i) { found = larger(magnitude(a[e]) * scale(i), found); });
     };
-    see(g.hessian, [&](int i) { return cost * c[i]; });
-    see(g.after, [&](int i) { return link[i]; });
-    see(g.before, [&](int i) { return one_after(link[i], last ? all(0.0) : next[i]); });
-    see(g.rows, [&](int i) { return of_row(p, i); });
-    see(g.user, [&](int i) { return of_row(p, g.r + i); });
+    include(g.hessian, [&](int i) { return cost * c[i]; });
+    include(g.after, [&](int i) { return link[i]; });
+    include(g.before, [&](int i) { return one_after(link[i], last ? all(0.0) : next[i]); });
+    include(g.rows, [&](int i) { return of_row(p, i); });
+    include(g.user, [&](int i) { return of_row(p, g.r + i); });
     return found;
   }
 
@@ -97,7 +97,7 @@ class Scales {
     const double largest = fold(g.packs, Parts{g.n + 1}, Largest::none(), [&](int p, int j, Largest& found) {
       Pack v = cost * magnitude(g.of_primal(g.q, p)[j < g.n ? j : g.xi]);
       if (j < g.n) v = v * columns.of(p, g.n)[j] * shrunk(columns_.of(p, g.n)[j]);
-      found.see(0, g.of_nodes(p, v));
+      found.include_max(0, g.of_nodes(p, v));
     }).largest(0);
     auto change = [&](Packs scales, Packs sizes) {
       parallel_for(scales.size, [&](int i) { scales[i] = clipped(scales[i] * shrunk(sizes[i])); });
@@ -108,11 +108,11 @@ class Scales {
       const Pack size = where(g.soft.of(p, g.m)[i] > 0.0, largest_of_soft(links_, p), links_.of(p, g.m)[i]);
       scale[i] = clipped(scale[i] * shrunk(size));
     });
-    // A cost without linear terms gives no hint: to take it for a tiny one would blow up the prices of the links.
+    // Without linear terms the cost has no known size. A tiny size would inflate the penalty weights of the links.
     once([&] { cost /= largest > 0.0 ? largest < kLowest ? kLowest : largest > kHighest ? kHighest : largest : 1.0; });
   }
 
-  // Of a link's rows with virtual control, which have one scale.
+  // Largest entry among a link's soft rows, which share one scale.
   Pack largest_of_soft(Packs v, int p) const {
     Entries soft = program_.soft.of(p, program_.m), of = v.of(p, program_.m);
     Pack found = all(0.0);
@@ -139,7 +139,7 @@ class Scales {
       if (j < g.n) {
         const Pack column = columns.of(p, g.n)[j];
         by = cost * column;
-        if (g.has_norm) g.scale.of(p, g.n)[j] = column * g.scale.of(p, g.n)[j];  // and the centre the inverse
+        if (g.has_norm) g.scale.of(p, g.n)[j] = column * g.scale.of(p, g.n)[j];  // scale * centre is unchanged
       } else if (j == g.zeta) {
         const Pack shared = largest_of_soft(links, p);
         by = cost / where(shared > 0.0, shared, all(1.0));
@@ -149,7 +149,7 @@ class Scales {
     multiply_rows(g.b, [](Pack scale) { return scale; });
   }
 
-  // Multiplies a ConeVector, but for cones of norms and the heads of virtual controls, by what a row's scale says.
+  // Multiplies a ConeVector by factor(scale of the row), except the trust region's cone and virtual control's head.
   template <typename Factor>
   void multiply_rows(Packs of, Factor factor) const {
     const Program& g = program_;
@@ -169,8 +169,8 @@ class Scales {
   static Pack clipped(Pack scale) { return smaller(larger(scale, all(kLowest)), all(kHighest)); }
 
   Program& program_;
-  Packs columns_, links_, rows_, user_;  // the largest entries
-  Packs before_;                         // of links, what the node before has
+  Packs columns_, links_, rows_, user_;  // largest entries
+  Packs before_;                         // largest entries of the links' rows in E, the matrix of the node before
 };
 
 }  // namespace jaxscp

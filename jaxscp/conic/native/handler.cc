@@ -64,8 +64,8 @@ struct Worker {
 
 // Takes a seat for as long as it does something.
 template <typename Act>
-void as_member(Team& team, int me, Act act) {
-  this_thread = {&team, me};
+void as_member(Team& team, int rank, Act act) {
+  this_thread = {&team, rank};
   act();
   this_thread = {};
 }

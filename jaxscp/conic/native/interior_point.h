@@ -343,7 +343,7 @@ class InteriorPoint {
       auto see = [&](int of, Pack along, Pack squared, Pack slack, Pack multiplier) {
         auto counted = [&](Pack v) { return where(within(p, of), v, all(0.0)); };
         to.add(kAlong, counted(along)), to.add(kSquared, counted(squared));
-        to.see(kOfSlacks, counted(slack)), to.see(kOfMultipliers, counted(multiplier));
+        to.include_max(kOfSlacks, counted(slack)), to.include_max(kOfMultipliers, counted(multiplier));
       };
       if (const int i = k; i < g.r) {
         const Pack w = at(scaling_.w, p)[i], s = at(old.s, p)[i], y = at(old.y, p)[i], dy = at(out.y, p)[i];
@@ -471,7 +471,7 @@ class InteriorPoint {
     auto counted = [&](Pack of) { return g.of_stages(p, i, g.cone, of); };
     const Pack y = at(v.y, p)[i], s = at(v.s, p)[i], b = at(g.b, p)[i], residual = primal - v.tau * b;
     at(residuals_.y, p)[i] = residual;
-    to.see(kPrimal, counted(magnitude(primal))), to.see(kPrimalResidual, counted(magnitude(residual)));
+    to.include_max(kPrimal, counted(magnitude(primal))), to.include_max(kPrimalResidual, counted(magnitude(residual)));
     to.add(kOffset, counted(b * y)), to.add(kComplementarity, counted(s * y));
   }
 
@@ -481,8 +481,8 @@ class InteriorPoint {
     auto counted = [&](Pack of) { return g.of_stages(p, j, g.primal, of); };
     const Pack x = g.of_primal(v.x, p)[j], q = g.of_primal(g.q, p)[j], residual = curved + dual + v.tau * q;
     g.of_primal(residuals_.curved, p)[j] = curved, g.of_primal(residuals_.x, p)[j] = residual;
-    to.see(kDual, counted(magnitude(dual))), to.see(kCurved, counted(magnitude(curved)));
-    to.see(kDualResidual, counted(magnitude(residual)));
+    to.include_max(kDual, counted(magnitude(dual))), to.include_max(kCurved, counted(magnitude(curved)));
+    to.include_max(kDualResidual, counted(magnitude(residual)));
     to.add(kQuadratic, counted(x * curved)), to.add(kLinear, counted(q * x));
   }
 
