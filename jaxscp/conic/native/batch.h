@@ -1,4 +1,4 @@
-// A batch of programs of one shape, as arrays that have the batch as their leading axis: lane by lane.
+// Batch of programs of one shape: arrays with the batch as leading axis.
 #pragma once
 
 #include "interior_point.h"
@@ -8,13 +8,13 @@ namespace jaxscp {
 template <typename T>
 struct BatchArray {
   T* data = nullptr;
-  long long stride = 0;  // numbers from one lane to the next
+  long long stride = 0;  // numbers from one batch element to the next
   T* of(long long element) const { return data + element * stride; }
 };
 using Input = BatchArray<const double>;
 using Output = BatchArray<double>;
 
-// Of what a handler passes to a kernel: to be raised with every change of ``Batch``, as either may be of another time.
+// Version of ``Batch``, which a handler passes to a kernel. Raise it with every change, as the two may differ in age.
 constexpr long long kVersion = 7;
 
 struct Batch {
@@ -23,9 +23,9 @@ struct Batch {
   Input hessian, gradient, before, after, link_offset, soft, penalty_weight, row_matrix, row_offset, tolerance;
   Input cone_matrix[kMaxGroups], cone_offset[kMaxGroups];
   Input norm_weight, norm_scale, norm_centre;
-  Input warm_z, warm_links, warm_rows, warm_cones[kMaxGroups];  // nothing where no point is thought to be near
+  Input warm_z, warm_links, warm_rows, warm_cones[kMaxGroups];  // null without a warm start
   Output z, xi, zeta, y_zero, y_orthant, y_second, s_orthant, s_second, tau, kappa, error, infeasibility, unboundedness;
-  int width;  // the largest dimension of second-order cones
+  int width;  // largest dimension of the second-order cones
   BatchArray<long long> iterations;
   BatchArray<bool> stalled, broken;
   Output scales_of_columns, scales_of_links, scales_of_rows, scales_of_cones[kMaxGroups], scale_of_cost;
@@ -42,7 +42,7 @@ inline ProgramData data(const Batch& v, const ProgramLayout& layout, long long e
   return g;
 }
 
-// Second-order cones in the order of ``kkt.pack``: the user's groups, trust region, virtual control.
+// Writes second-order cones in the order of ``conic_form.pack_cones``: user's groups, trust region, virtual control.
 inline void put_cones(const Program& p, Packs from, int width, double* to) {
   auto group = [&](int offset, ConeShape shape, int places) {
     parallel_for_nowait(places, Parts{shape.count * width}, [&](int k, int i) {

@@ -1,4 +1,4 @@
-// What XLA passes to a handler, read as a batch of programs: the same on every device.
+// XLA's buffers as a batch of programs, on every device.
 #pragma once
 
 #include <algorithm>
@@ -10,13 +10,13 @@ namespace jaxscp {
 
 namespace ffi = xla::ffi;
 
-// A batch, and the sizes of each of its programs.
+// A batch, and the sizes of its programs.
 struct SizedBatch {
   Sizes sizes;
   Batch batch;
 };
 
-// Arguments and results are those of ``native/__init__.py``, in its order; so are the attributes.
+// Batch from the arguments, results and attributes of ``native/__init__.py``, in the same order.
 inline ffi::ErrorOr<SizedBatch> sized_batch(ffi::RemainingArgs args, ffi::RemainingRets rets, ffi::Dictionary attrs) {
   SizedBatch s{};
   Batch& b = s.batch;
@@ -36,7 +36,7 @@ inline ffi::ErrorOr<SizedBatch> sized_batch(ffi::RemainingArgs args, ffi::Remain
                 integer("equilibration")};
   s.sizes.has_norm = integer("has_norm") != 0;
 
-  // axes from the end: of the last, one
+  // length of the k-th axis from the end; k = 1 is the last axis
   auto axis = [](const auto& v, size_t k) { return static_cast<int>(v.dimensions()[v.dimensions().size() - k]); };
   auto stride = [&](size_t numbers) { return static_cast<long long>(numbers) / std::max<long long>(b.size, 1); };
   auto argument = [&](size_t i, Input& to, int* first = nullptr, int* second = nullptr) {
@@ -46,7 +46,7 @@ inline ffi::ErrorOr<SizedBatch> sized_batch(ffi::RemainingArgs args, ffi::Remain
     if (first) *first = axis(*v, 2);
     if (second) *second = axis(*v, 1);
   };
-  constexpr size_t kTolerance = 9;  // has one number a lane
+  constexpr size_t kTolerance = 9;  // has one number per batch element
   if (auto v = args.get<ffi::Buffer<ffi::F64>>(kTolerance); v.has_value()) b.size = v->element_count();
   size_t next = 0;
   argument(next++, b.hessian);

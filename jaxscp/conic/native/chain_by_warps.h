@@ -1,8 +1,8 @@
-// The Schur complement in the link multipliers, on a GPU: block tridiagonal, eliminated from both ends to the middle by
-// a warp each.
+// Schur complement in the link multipliers on a GPU: block tridiagonal, eliminated from both ends to the middle by one
+// warp per end.
 //
-// Cyclic reduction would give work to more of them, but twice the arithmetic, and each of its rounds waits for memory
-// and for all threads. Here what is needed next is fetched meanwhile, and the other warps are of other programs.
+// Cyclic reduction would use more warps, but twice the arithmetic, and each of its rounds waits for memory and for all
+// threads. Here the next block is copied during the elimination, and other programs use the other warps' time.
 #pragma once
 
 #include "elimination_by_warp.h"
@@ -10,7 +10,7 @@
 
 namespace jaxscp {
 
-// Sides of a system that are solved together, at most.
+// Largest number of right-hand sides that are solved together.
 constexpr int kMaxRhs = 2;
 
 class Chain {
@@ -19,13 +19,13 @@ class Chain {
       : program_(program), blocks_(arena.take(kLinks * kPerLink)), inverse_(arena.take(kLinks * kBlockSize)),
         step_(arena.take(kLinks * kBlockSize)), far_(arena.take(kSolutions - kChainVectors)) {}
 
-  // The matrix, in tiles: of link l the lower triangle of what it has itself and from the node behind it, and that of
-  // what it has from the node before it.
+  // The matrix in tiles. Link l has two lower triangles: its own compliance with the contribution of the node after it,
+  // and the contribution of the node before it.
   double* own(int l) const { return &blocks_[l * kPerLink]; }
   double* from_before(int l) const { return own(l) + kLower; }
-  // What ties it to the link that is eliminated next, whose rows it has.
+  // Off-diagonal block to the link that is eliminated next, with that link's rows.
   double* neighbour(int l) const { return from_before(l) + kLower; }
-  // Whether the next is the one behind it.
+  // Whether link l + 1 is eliminated after link l.
   static bool goes_on(int l) { return l < kMiddle; }
 
   JAXSCP_CALLED void factor() {
@@ -33,7 +33,7 @@ class Chain {
       double *tile = warp_tile(), *here = prefetched(end);
       auto begin = [&](int t) { copy_async(here, own(link(end, t)), t < count(end) ? kPerLink : 0); };
       begin(0);
-      double update[kLower / kTile][2] = {};  // what the last link takes from this one
+      double update[kLower / kTile][2] = {};  // update of this link by the previous one
 #pragma unroll 1
       for (int t = 0; t < count(end); ++t) {
         const int l = link(end, t);
@@ -84,7 +84,7 @@ class Chain {
     });
   }
 
-  // For S right sides: right(l, i, sides) puts row i of each side into ``sides``, and ``solution`` gives what is found.
+  // Solves for S right-hand sides; right(l, i, rhs) writes row i of each to ``rhs``. See ``solution``.
   template <int S, typename Right>
   void solve(Right right) {
     parallel_for(program_.packs, Parts{m}, [&](int l, int i) {
@@ -112,21 +112,21 @@ class Chain {
     substitute<S, true>();
   }
 
-  // Row i of side s.
+  // Row i of solution s.
   Pack solution(int l, int i, int s) const { return l < kLinks ? vector(l)[i * kMaxRhs + s] : 0.0; }
 
  private:
   static constexpr int m = ProgramLayout::m, kLinks = ProgramLayout::nodes + 1, kMiddle = kLinks / 2;
-  static constexpr int kTurns = 3;                      // parts of a sum: none waits for the one before
+  static constexpr int kTurns = 3;  // independent sums hide the latency of additions
 
-  // From an end, 0 or 1: how many blocks, and which is the t-th.
+  // Number of blocks that are eliminated from an end (0 or 1), and the t-th of them.
   static int count(int end) { return end == 0 ? kMiddle : kLinks - 1 - kMiddle; }
   static int link(int end, int t) { return end == 0 ? t : kLinks - 1 - t; }
 
-  // What is known of a link's side, and then its solution.
+  // Right-hand sides of a link, later its solutions.
   double* vector(int l) const { return (kVectorsShared ? chain_vectors() : far_.data) + l * m * kMaxRhs; }
   double* middle_update(int end) const { return vector(kLinks + end); }
-  // By a team, a symmetric block by columns, of whose lower tile at ``at`` a lane has value(at, e), e < 2.
+  // By a team, stores the lower triangle of a block by columns; a lane's two numbers of a tile are value(tile, e), e < 2.
   template <typename Value>
   static void assemble(double* columns, Value value) {
     each_lower_tile([&](int tile, int i, int j) {
@@ -137,7 +137,7 @@ class Chain {
     __syncwarp();
   }
 
-  // A matrix whose entries are ``down`` and ``along`` apart times S vectors side by side: a lane a row.
+  // Product of a matrix and S adjacent vectors, one lane per row; ``down`` and ``along`` are the strides of rows and columns.
   template <int S>
   static void multiply(const double* matrix, int down, int along, const double* v, double (&sums)[S]) {
     if (lane_of_warp() >= m) return;
@@ -149,7 +149,7 @@ class Chain {
     for (int s = 0; s < S; ++s) sums[s] = (part[0][s] + part[1][s]) + part[2][s];
   }
 
-  // From block to block, from both ends to the middle: v_next -= T v with what is eliminated; or back: v -= T' v_next.
+  // Forward substitution from both ends to the middle, v_next -= T v, or backward substitution, v -= T' v_next.
   template <int S, bool kBack>
   JAXSCP_CALLED void substitute() {
     parallel_for_teams(2, [&](int end) {
@@ -187,7 +187,7 @@ class Chain {
   }
 
   const Program& program_;
-  Packs blocks_, inverse_, step_, far_;  // the last: what shared memory has no room for
+  Packs blocks_, inverse_, step_, far_;  // far_: vectors that do not fit in shared memory
 };
 
 }  // namespace jaxscp

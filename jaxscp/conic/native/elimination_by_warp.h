@@ -1,10 +1,10 @@
-// What ``elimination.h`` does, by the lanes of a warp together.
+// Elimination as in ``elimination.h``, by the lanes of a warp together.
 //
 //     [ A  B' ]
 //     [ B  0  ]       A = L L',  M = L'^-1,  K = B M
 //
-// M in place of L makes products of solutions: A^-1 = M M'. Lane i has row i of A in its registers while the columns are
-// eliminated; products are for tensor cores.
+// M instead of L turns solutions into products: A^-1 = M M'. Lane i holds row i of A in registers during elimination; the
+// products run on tensor cores.
 #pragma once
 
 #include "layout.h"
@@ -12,23 +12,23 @@
 
 namespace jaxscp {
 
-// M in place of A, whose lower triangle is given by columns; M's is zero then.
+// Replaces A, whose lower triangle is given by columns, by the upper triangular M.
 //
-// Two columns are eliminated at once. Their pivots [a b; b c] need two roots that do not wait for each other: of a and
-// of the determinant. Of a row whose turn it was nothing is needed any more: from there on its lane has a row of the
-// identity, as if that had been below.
+// Two columns are eliminated at once. Their pivot block [a b; b c] needs two independent roots: of a and of the
+// determinant. An eliminated row is no longer needed; from then on its lane holds a row of the identity, as if the
+// identity were below A.
 template <int kSize>
 JAXSCP_CALLED void invert_factor(double* tile) {
-  // small enough, a row's even columns have a lane and its odd ones another
+  // With few rows, one lane holds a row's even columns and another its odd columns.
   constexpr int kHalves = 2 * kSize <= kWarp ? 2 : 1, kOther = kWarp / 2, kSlots = (kSize + kHalves - 1) / kHalves;
-  constexpr int kAtOnce = 4;  // numbers of others that are read before they are used
+  constexpr int kAtOnce = 4;  // reads that overlap
   static_assert(kSize <= kWarp && 4 * kSize <= kWarpScratch, "a lane for each row");
   struct alignas(16) Both {
     double column, next;
   };
   const int half = kHalves == 2 ? lane_of_warp() / kOther : 0, i = lane_of_warp() - half * kOther;
   const bool there = i < kSize;
-  double row[kSlots];  // from the column on that is next
+  double row[kSlots];  // from the next column on
 #pragma unroll
   for (int s = 0; s < kSlots; ++s) {
     const int j = s * kHalves + half;
@@ -73,8 +73,8 @@ JAXSCP_CALLED void invert_factor(double* tile) {
   __syncwarp();
 }
 
-// 8 x 8 sums of products of 8 x 4 and 4 x 8 numbers, which tensor cores add to: they take a whole warp. Of the factors
-// lane 4 i + k has entries (i, k) and (k, i), of the sums two neighbours of row i, from column 2 k on.
+// Adds the product of an 8 x 4 and a 4 x 8 matrix to 8 x 8 sums, on the tensor cores of a whole warp. Lane 4 i + k holds
+// entry (i, k) of the first factor, (k, i) of the second, and two sums in row i, from column 2 k on.
 #if defined(JAXSCP_EMULATED_GPU)
 void add_products(double (&sums)[2], double a, double b);
 #else
@@ -85,7 +85,7 @@ inline void add_products(double (&sums)[2], double a, double b) {
 }
 #endif
 
-// A tile of K K' of two ``Row``s of K: put takes its sums as they lie.
+// Tile of K K' from two ``Row``s of K: put receives this lane's two sums.
 template <typename Row, typename Put>
 inline void gram(const Row& a, const Row& b, Put put) {
   double sums[2] = {};
@@ -95,9 +95,8 @@ inline void gram(const Row& a, const Row& b, Put put) {
   put(sums);
 }
 
-// Products of an eliminated panel: M is in a tile. Eight rows of what is below A, and of K, are a ``Row``, as they lie in
-// the registers of the tensor cores' sums; as such they are factors for the next product, whose columns are then taken in
-// another order.
+// Products with M, which is in a tile. A ``Row`` is eight rows of K = B M, in the registers of the tensor cores' sums. It
+// is a factor of the next product, with the columns in another order.
 template <int kSize>
 class Products {
  public:
@@ -110,7 +109,7 @@ class Products {
 
   explicit Products(const double* tile) : tile_(tile) {}
 
-  // Of K the rows whose b(i, j), i < 8, are given.
+  // Eight rows of K, from the entries b(i, j), i < 8, of B.
   template <typename Below>
   Row find(Below below) const {
     Row found;
@@ -125,7 +124,7 @@ class Products {
     return found;
   }
 
-  // Entries (i, j), i < 8, of B A^-1 = K M'.
+  // Calls put(i, j, value) for entries i < 8 of B A^-1 = K M'.
   template <typename Put>
   void each_of_solved(const Row& of_k, Put put) const {
 #pragma unroll
@@ -142,7 +141,7 @@ class Products {
     }
   }
 
-  // Entries of A^-1 = M M'.
+  // Calls put(i, j, value) for entries of A^-1 = M M'.
   template <typename Put>
   void each_of_inverse(Put put) const {
 #pragma unroll
@@ -170,8 +169,8 @@ class Products {
   int row_ = lane_of_warp() / 4, column_ = lane_of_warp() % 4;
 };
 
-// out = M' v for S vectors side by side, M being upper triangular and given by the columns of that triangle: four lanes
-// a column.
+// out = M' v for S adjacent vectors; M is upper triangular, stored by the columns of its triangle. Four lanes share a
+// column.
 template <int S, int kSize>
 inline void times_transposed(const double* triangle, const double* v, double* out) {
   const int lane = lane_of_warp(), quarter = lane % 4;

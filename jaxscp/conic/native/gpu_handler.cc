@@ -1,4 +1,4 @@
-// What XLA calls on an NVIDIA GPU: launches the kernel that ``gpu.py`` compiled, which the call carries with it.
+// XLA's handler on an NVIDIA GPU: launches the kernel that ``gpu.py`` compiled, which is an attribute of the call.
 
 #include "buffers.h"
 #include "driver.h"
@@ -10,14 +10,14 @@ constexpr int kMultiprocessors = 16;  // CU_DEVICE_ATTRIBUTE_MULTIPROCESSOR_COUN
 constexpr int kSharedMost = 8;        // CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES
 constexpr int kOutOfMemory = 2;       // CUDA_ERROR_OUT_OF_MEMORY
 
-// A kernel in a GPU's memory.
+// A kernel loaded on a GPU.
 struct Kernel {
   CUfunction solve = nullptr;
-  long long workspace = 0;  // numbers that a program and its solver take
-  long long version = 0, batch = 0;  // as ``jaxscp_room`` says
-  long long shared = 0, shared_alone = 0;  // bytes of a block; none of one alone where a multiprocessor has not so many
+  long long workspace = 0;  // numbers of a program and its solver
+  long long version = 0, batch = 0;  // as reported by ``jaxscp_workspace``
+  long long shared = 0, shared_alone = 0;  // bytes per block; zero if a multiprocessor has too few for a block alone
   int multiprocessors = 0;
-  long long grid = 1ll << 30;  // at most: that there was memory for before
+  long long grid = 1ll << 30;  // largest grid that memory was available for
 };
 
 Kernel load(const Driver& cuda, ffi::Span<const uint8_t> cubin, CUstream stream, void* scratch, Failure& failure) {
@@ -34,8 +34,8 @@ Kernel load(const Driver& cuda, ffi::Span<const uint8_t> cubin, CUstream stream,
       failure(cuda.cuCtxGetDevice(&device), "finding the device") &&
       failure(cuda.cuDeviceGetAttribute(&kernel.multiprocessors, kMultiprocessors, device), "asking the device") &&
       failure(cuda.cuLaunchKernel(workspace, 1, 1, 1, 1, 1, 1, 0, stream, arguments, nullptr), "launching it") &&
-      failure(cuda.cuMemcpyDtoHAsync_v2(sizes, number, sizeof(sizes), stream), "asking for its room") &&
-      failure(cuda.cuStreamSynchronize(stream), "asking for its room");
+      failure(cuda.cuMemcpyDtoHAsync_v2(sizes, number, sizeof(sizes), stream), "asking for its sizes") &&
+      failure(cuda.cuStreamSynchronize(stream), "asking for its sizes");
   kernel.workspace = sizes[0], kernel.version = sizes[1], kernel.batch = sizes[2];
   kernel.shared = sizes[3], kernel.shared_alone = sizes[4];
   if (failure.code != 0 || kernel.version != kVersion) return kernel;
@@ -46,8 +46,8 @@ Kernel load(const Driver& cuda, ffi::Span<const uint8_t> cubin, CUstream stream,
   return kernel;
 }
 
-// ``blocks``: how many a multiprocessor is to hold at once, of ``threads`` each; ``alone``: threads of one that has a
-// multiprocessor to itself, as there are so few.
+// ``blocks``: blocks per multiprocessor, with ``threads`` threads each. ``alone``: threads of a block that is alone on its
+// multiprocessor, in small batches.
 ffi::Error solve(CUstream stream, ffi::ScratchAllocator scratch, ffi::RemainingArgs args, ffi::RemainingRets rets,
                  ffi::Dictionary attrs) {
   auto found = sized_batch(args, rets, attrs);
@@ -64,8 +64,8 @@ ffi::Error solve(CUstream stream, ffi::ScratchAllocator scratch, ffi::RemainingA
   Failure failure{"the interior point's kernel"};
   const Current current(cuda, stream, failure);
   if (failure.code != 0) return failure.error();
-  constexpr size_t kCounter = 256;   // bytes, so that what follows is aligned
-  constexpr size_t kAlignment = 16;  // XLA promises no more, and gives 256
+  constexpr size_t kCounter = 256;   // bytes, so that the workspace is aligned
+  constexpr size_t kAlignment = 16;  // XLA guarantees 16 and gives 256
   static Kept<Kernel> kernels;
   const auto key = std::make_pair(current.context(), std::string(*name));
   const Kernel kernel = kernels.get(key, failure, [&] {
@@ -84,8 +84,8 @@ ffi::Error solve(CUstream stream, ffi::ScratchAllocator scratch, ffi::RemainingA
     auto find = [&] { return scratch.Allocate(kCounter + grid * kernel.workspace * sizeof(double), kAlignment); };
     auto memory = find();
     bool enough = memory.has_value();
-    for (; !memory && grid > 1; memory = find()) grid /= 2;  // with little memory, fewer programs at once
-    // XLA waits for memory for seconds before it says so: not again
+    for (; !memory && grid > 1; memory = find()) grid /= 2;  // fewer programs at once if memory is short
+    // XLA waits several seconds before it reports a lack of memory; remembered to wait only once.
     if (!enough) kernels.change(key, [&](Kernel& it) { it.grid = grid; });
     if (!memory) {
       failure(kOutOfMemory, "finding memory for it");

@@ -1,5 +1,5 @@
-// What XLA calls on a CPU: solves a batch of programs, each to its own end. Its threads share the lanes, or the work of
-// a single one.
+// XLA's handler on a CPU: solves a batch of programs, each with its own number of steps. The threads share the batch
+// elements, or the work on a single element.
 
 #include <algorithm>
 #include <chrono>
@@ -12,8 +12,8 @@
 namespace jaxscp {
 namespace {
 
-// Whether others help with a program is for experience to say: their cores may be in use, and a thread that is not on a
-// core holds up all. The answer is the same either way.
+// Measured times per step with and without helping threads. Helpers can be slower: other processes may use their cores,
+// and a thread that is not running delays all others. The result is the same either way.
 class HelperTimings {
  public:
   bool prefers_help() {
@@ -26,13 +26,13 @@ class HelperTimings {
   }
 
  private:
-  static constexpr int kTrialPeriod = 16;      // the other way is tried once in so many
-  static constexpr double kWeight = 0.25;  // weight of the last
-  double alone_ = 0.0, helped_ = 0.0;  // of a step
+  static constexpr int kTrialPeriod = 16;      // the slower choice is tried once in so many programs
+  static constexpr double kWeight = 0.25;  // weight of the latest time in the mean
+  double alone_ = 0.0, helped_ = 0.0;  // mean seconds per step
   int turn_ = 0;
 };
 
-// A program's room and its solver's. Each thread keeps its last one: to find room anew takes longer than a step.
+// Memory of a program and its solver. Each thread reuses its last worker, since an allocation takes longer than a step.
 struct Worker {
   Sizes sizes;
   Settings settings;
@@ -41,7 +41,7 @@ struct Worker {
   Program program;
   Scales scales;
   InteriorPoint solver;
-  HelperTimings experience;
+  HelperTimings timings;
 
   Worker(const Sizes& sizes, const Settings& settings)
       : sizes(sizes), settings(settings), memory(workspace(sizes, settings)), arena(memory.data()),
@@ -62,7 +62,7 @@ struct Worker {
   }
 };
 
-// Takes a seat for as long as it does something.
+// Calls act() as a member of a team.
 template <typename Act>
 void as_member(Team& team, int rank, Act act) {
   this_thread = {&team, rank};
@@ -70,19 +70,19 @@ void as_member(Team& team, int rank, Act act) {
   this_thread = {};
 }
 
-// One program by as many threads as have enough of it to do, where that is faster.
+// Solves one program with several threads, if that is faster and each thread has enough packs.
 void solve_together(ffi::ThreadPool& pool, const Batch& batch, Worker& worker) {
   using Clock = std::chrono::steady_clock;
   constexpr int kPacksEach = 2;
   const int packs = worker.program.packs, threads = std::min<int64_t>(packs / kPacksEach, pool.num_threads());
-  const bool help = threads > 1 && worker.experience.prefers_help();
+  const bool help = threads > 1 && worker.timings.prefers_help();
   Team team(help ? threads : 1, packs);
   const auto begin = Clock::now();
   with_helpers(pool, help ? threads - 1 : 0,
                [&] { as_member(team, 0, [&] { solve_element(batch, 0, worker.program, worker.scales, worker.solver); }); },
                [&] { as_member(team, -1, [&] { worker.solver.work(); }); });
   const double seconds = std::chrono::duration<double>(Clock::now() - begin).count();
-  worker.experience.add(help, seconds / (1 + worker.solver.iterations));
+  worker.timings.add(help, seconds / (1 + worker.solver.iterations));
 }
 
 ffi::Error solve(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::RemainingRets rets, ffi::Dictionary attrs) {

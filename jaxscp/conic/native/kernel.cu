@@ -1,10 +1,10 @@
-// The kernel: each block solves one program after another. Compiled for the sizes by ``gpu.py``.
+// The kernel: each block solves one program after another. ``gpu.py`` compiles it for the sizes of a program.
 #include "batch.h"
 
 using namespace jaxscp;
 
-// Numbers that a program and its solver take, what ``Batch`` is to look like, and bytes that a block's threads share:
-// those of one among others, and of one that has a multiprocessor to itself.
+// Sizes: numbers of a program and its solver, version and size of ``Batch``, and bytes of shared memory for a block of
+// JAXSCP_THREADS and one of JAXSCP_ALONE threads.
 extern "C" __global__ void jaxscp_workspace(long long* sizes) {
   Arena counting;
   Program program(kLayout, counting);
@@ -17,7 +17,7 @@ extern "C" __global__ void jaxscp_workspace(long long* sizes) {
 
 extern "C" __global__ void __launch_bounds__(JAXSCP_ALONE, JAXSCP_THREADS * JAXSCP_BLOCKS / JAXSCP_ALONE)
     jaxscp_solve(const __grid_constant__ Batch batch, double* workspace, long long numbers, unsigned long long* next) {
-  // One for the block: with one for each thread, where its arrays are would be read more often than what is in them.
+  // One object per block: objects of each thread would be read from memory more often than their arrays.
   alignas(16) __shared__ char program_memory[sizeof(Program)], scales_memory[sizeof(Scales)];
   alignas(16) __shared__ char solver_memory[sizeof(InteriorPoint)];
   Program& program = *reinterpret_cast<Program*>(program_memory);

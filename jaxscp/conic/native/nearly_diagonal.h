@@ -1,14 +1,14 @@
-// The inverse of a node's Hessian where little but its trust region ties its variables to each other, on a GPU.
+// Inverse of a node's nearly diagonal Hessian on a GPU: hardly any term but the trust region couples the variables.
 //
 //     H = Q + by S^2 - c v v',    v = S w,   c = 2 by / (1 + 2 |w|^2)
 //
-// S has the scales of the trust region, w is the tail of its cone's point and by = 1 / eta^2. Q, of cost, half-spaces
-// and the user's cones, is diagonal but for a few variables that these tie. So is A = Q + by S^2, and by Sherman and
-// Morrison
+// S holds the trust region's scales, w is the tail of the scaling point of its cone, and by = 1 / eta^2. Q collects cost,
+// half-spaces and user's cones; it is diagonal except for a few coupled variables. So is A = Q + by S^2, and by the
+// Sherman-Morrison formula
 //
 //     H^-1 = A^-1 + u u',   u = A^-1 v (by / k)^1/2,   k = 1/2 + w'(w - by S A^-1 v).
 //
-// A row of w'(w - by S A^-1 v) that nothing is tied to is w_i^2 q_i / a_i: nothing cancels.
+// For an uncoupled variable, term i of w'(w - by S A^-1 v) is w_i^2 q_i / a_i, without cancellation.
 #pragma once
 
 #include "elimination_by_warp.h"
@@ -21,7 +21,7 @@ class NearlyDiagonal {
   NearlyDiagonal(const Program& program, Arena& arena)
       : program_(program), inverse_(arena.take(program.packs * kPerNode)) {}
 
-  // Begins with another program: finds which of its variables are tied to others at any node.
+  // Prepares for the program that was read: finds the variables that are coupled to others at any node.
   JAXSCP_CALLED void read() {
     const Program& g = program_;
     parallel_for(n, [&](int j) {
@@ -43,17 +43,17 @@ class NearlyDiagonal {
     });
   }
 
-  // Whether so few are tied that this serves, and what lanes hold of a cone has room for a node's variables: as it has
-  // where there is a trust region.
+  // Whether few enough variables are coupled, and a cone's registers can hold a node's variables. With a trust region they
+  // can.
   bool supports() const { return count_ <= kMaxCoupled && n <= soc::ConeRegisters::kSlots * kLanesOfCone; }
 
-  // Finds the inverses at all nodes.
+  // Computes the inverses at all nodes.
   JAXSCP_CALLED void find(const Scaling& scaling, double regularisation) {
     parallel_for(program_.packs, Parts{0, 1}, [&](int p, int) {
       const Program& g = program_;
       const Entries w = g.of_cones(scaling.w, p);
       Pack by = 0.0, of_coupled[kMaxCoupled][kMaxCoupled];
-      soc::ConeRegisters tail{n}, scale{n}, a{n}, ratio{n}, u{n}, first{n};  // all zero; kept: q / a
+      soc::ConeRegisters tail{n}, scale{n}, a{n}, ratio{n}, u{n}, first{n};  // all zero; ratio: q / a
       if (g.has_norm) {
         const Pack eta = scaling.eta_of(p, g.trust_cone);
         by = inverse(eta * eta), tail = soc::load(w + (g.trust + 1), n), scale = soc::load(g.scale.of(p, n), n);
@@ -64,7 +64,7 @@ class NearlyDiagonal {
         ratio[k] = q * inverse(whole);
         return whole;
       });
-      // of the lower triangle of Q among the tied variables a lane has an entry
+      // Each lane computes one entry of Q's lower triangle among the coupled variables.
       const int lane = lane_of_cone(), row = lane < 1 ? 0 : lane < 3 ? 1 : 2, column = lane - row * (row + 1) / 2;
       const bool has_entry = row < count_ && column <= row;
       const Pack mine = has_entry ? of_cost(scaling, regularisation, p, variable_[row], variable_[column]) : 0.0;
@@ -73,7 +73,7 @@ class NearlyDiagonal {
 #pragma unroll
         for (int j = 0; j < kMaxCoupled; ++j)
           of_coupled[i][j] = __shfl_sync(kAllLanes, mine, lane_of_warp() - lane + (j <= i ? i * (i + 1) / 2 + j : 0));
-      // M' = L^-1 of those that are tied
+      // M' = L^-1 of the coupled block
       Pack s[kMaxCoupled], t[kMaxCoupled], v[kMaxCoupled], solved[kMaxCoupled], m[kMaxCoupled][kMaxCoupled], whole[kMaxCoupled][kMaxCoupled], denominator = 0.0;
 #pragma unroll
       for (int i = 0; i < kMaxCoupled; ++i) {
@@ -111,7 +111,7 @@ class NearlyDiagonal {
     });
   }
 
-  // H^-1 v, by the lanes that have it.
+  // H^-1 v, by the lanes that hold v.
   soc::ConeRegisters times(int p, const soc::ConeRegisters& v) const {
     const double* of = at(p);
     soc::ConeRegisters out{n}, first{n}, u{n};
@@ -133,8 +133,8 @@ class NearlyDiagonal {
     return out;
   }
 
-  // Products with the inverse H^-1 = R R', R = [1 / sqrt(a) M u]: rows of K = B R, of which eight are a ``Row`` of
-  // factors for tensor cores, four columns at a time. M and u have the last four.
+  // Products with H^-1 = R R', R = [1 / sqrt(a) M u]: rows of K = B R. A ``Row`` is eight rows as a factor for the tensor
+  // cores, four columns at a time; the last four columns belong to M and u.
   class Products {
    public:
     static constexpr int kSteps = (ProgramLayout::n + 3) / 4;
@@ -146,19 +146,19 @@ class NearlyDiagonal {
 
     Products(const NearlyDiagonal& inverse, int p) : of_(inverse.at(p)) {}
 
-    // Of K the rows whose b(i, j), i < 8, are given.
+    // Eight rows of K, from the entries b(i, j), i < 8, of B.
     template <typename Below>
     Row find(Below below) const {
       Row found;
       const int row = lane_of_warp() / 4, column = lane_of_warp() % 4;
       double last[2] = {}, x[kSteps];
-      // The sums' columns are 0 .. 7, of which a lane has two neighbours: the first is one of the four.
+      // The sums have columns 0 .. 7. A lane holds two neighbouring columns, of which the first is one of the four.
       const int c = row % 2 == 0 ? row / 2 : -1;
 #pragma unroll
       for (int k = 0; k < kSteps; ++k) {
         const int j = 4 * k + column, i = j < n ? coupled()[j] : 0;
         found.steps[k] = j < n ? below(row, j) : 0.0;
-        // of M the entry (i - 1, c), or of u
+        // entry (i - 1, c) of M, or an entry of u
         const int from = c == kMaxCoupled ? n + j : i > 0 && i - 1 <= c ? 2 * n + c * kMaxCoupled + i - 1 : -1;
         x[k] = j < n && from >= 0 ? of_[from] : 0.0;
       }
@@ -178,10 +178,10 @@ class NearlyDiagonal {
 
  private:
   static constexpr int n = ProgramLayout::n;
-  static constexpr int kMaxCoupled = 3;  // variables: with u they are four columns
+  static constexpr int kMaxCoupled = 3;  // coupled variables; with u they are four columns
   static constexpr int kPerNode = even(2 * n + kMaxCoupled * kMaxCoupled);
 
-  // Of each variable its number among those that are tied, from one on, or zero.
+  // Number of each variable among the coupled ones, from one on; zero for an uncoupled variable.
   static int* coupled() {
     __shared__ int of_variable[n];
     return of_variable;
@@ -196,7 +196,7 @@ class NearlyDiagonal {
   }
   double* at(int p) const { return &inverse_[p * kPerNode]; }
 
-  // Of a vector that lanes have the entry of the tied variable i, for all of them.
+  // Entry of coupled variable i of a vector in registers, on all lanes.
   Pack entry(const soc::ConeRegisters& v, int i) const {
     const int j = i < count_ ? variable_[i] : 0;
     Pack found = v[0];
@@ -206,7 +206,7 @@ class NearlyDiagonal {
     return __shfl_sync(kAllLanes, found, lane_of_warp() - lane_of_cone() + j % kLanesOfCone);
   }
 
-  // The entry of Q for two variables.
+  // Entry of Q for two variables.
   JAXSCP_CALLED Pack of_cost(const Scaling& scaling, double regularisation, int p, int one, int other) const {
     const Program& g = program_;
     const Entries w = g.of_cones(scaling.w, p), of_rows = g.rows.at(p), of_user = g.user.at(p);
@@ -232,7 +232,7 @@ class NearlyDiagonal {
     return total;
   }
 
-  // L^-1, a = L L' being given by its lower triangle.
+  // m = L^-1, for a = L L' given by its lower triangle.
   static void invert(const Pack (&a)[kMaxCoupled][kMaxCoupled], Pack (&m)[kMaxCoupled][kMaxCoupled]) {
     Pack l[kMaxCoupled][kMaxCoupled] = {};
 #pragma unroll
@@ -256,7 +256,7 @@ class NearlyDiagonal {
       }
   }
 
-  // m'm v
+  // out = m'm v
   static void times(const Pack (&m)[kMaxCoupled][kMaxCoupled], const Pack (&v)[kMaxCoupled], Pack (&out)[kMaxCoupled]) {
     Pack half[kMaxCoupled];
 #pragma unroll
@@ -274,8 +274,8 @@ class NearlyDiagonal {
   }
 
   const Program& program_;
-  int count_ = 0, variable_[kMaxCoupled] = {};  // that are tied
-  Packs inverse_;  // of each node 1 / sqrt(a), u and M' by rows
+  int count_ = 0, variable_[kMaxCoupled] = {};  // coupled variables
+  Packs inverse_;  // 1 / sqrt(a), u and M' by rows, of each node
 };
 
 }  // namespace jaxscp

@@ -1,4 +1,4 @@
-// The Newton system of the interior point and its solution, by elimination of cones, nodes and links (``kkt.py``).
+// KKT system of the interior point, solved by elimination of cones, nodes and links (``kkt.py``).
 #pragma once
 
 #include "nodes.h"
@@ -21,18 +21,19 @@ class NewtonSystem {
     }
   }
 
-  // A right side and its solution. On a GPU they are to be in shared memory: each thread would have its copy in memory.
+  // Right-hand side (rx, ry) and solution (x, y). On a GPU they must be in shared memory; otherwise each thread would have
+  // a copy.
   struct KKTVectors {
     Packs rx, ry, x, y;
   };
 
-  // Begins with another program.
+  // Prepares for the program that was read.
   void read() { nodes_.read(); }
 
-  // Eliminate cones and nodes, and factor what remains in the link multipliers.
+  // Eliminates cones and nodes, and factors the Schur complement in the link multipliers.
   JAXSCP_CALLED void factor(const Scaling& scaling, double regularisation) {
     const Program& g = program_;
-    // What eliminated virtual controls leave of links, (W^2)_{11} on soft rows:  eta^2 (2 w1 w1' + 1).
+    // Compliance of the soft rows, from eliminated virtual control: (W^2)_{11} = eta^2 (2 w1 w1' + 1).
     auto along = [&](int p, int i) {
       Pack eta = scaling.eta_of(p, g.virtual_cone);
       return kRootOfTwo * eta * g.soft.of(p, g.m)[i] * g.of_cones(scaling.w, p)[g.virtual_ + 1 + i];
@@ -41,12 +42,12 @@ class NewtonSystem {
       Pack part = scaling.eta_of(p, g.virtual_cone) * g.soft.of(p, g.m)[i];
       return part * part + regularisation;
     };
-    auto add = [&](int p, auto to, Pack* room) { add_hessian(scaling, regularisation, p, to, room); };
+    auto add = [&](int p, auto to, Pack* buffer) { add_hessian(scaling, regularisation, p, to, buffer); };
     nodes_.factor(chain_, scaling, regularisation, add, along, diagonal);
   }
 
-  // Solve [P A'; A -W^2] (x, y) = (rx, ry) for S sides at once. Refinement is against this full system: it brings
-  // back the digits that eliminating cones near their boundary loses.
+  // Solves [P A'; A -W^2] (x, y) = (rx, ry) for S right-hand sides at once. Refinement uses residuals of this full system,
+  // and so restores the digits that the elimination of cones near their boundary loses.
   template <int S>
   JAXSCP_CALLED void solve(const Scaling& scaling, int refinements, const KKTVectors* systems) {
     solve_once<S>(scaling, systems);
@@ -66,7 +67,8 @@ class NewtonSystem {
   }
 
  private:
-  // Of a right side what its solution leaves, at part k of a place. ``to`` has P x, A x and A'y in rx, ry and x.
+  // Residual of a solution, at part k of a stage, written to rx and ry of ``to``, which holds P x, A x and A'y in rx, ry
+  // and x.
   void residual(const Scaling& scaling, const KKTVectors& system, const KKTVectors& to, int p, int k) const {
     const Program& g = program_;
     Entries ry = g.of_cones(system.ry, p), y = g.of_cones(system.y, p), w = g.of_cones(scaling.w, p);
@@ -86,7 +88,8 @@ class NewtonSystem {
            });
   }
 
-  // Lower triangle of P + G' W^-2 G, the trust region's cone with its bound eliminated. ``along`` is room for a vector.
+  // Adds the lower triangle of the node's Hessian P + G' W^-2 G, with the trust region's bound eliminated. ``along`` is a
+  // buffer for a vector.
   template <typename Triangle>
   void add_hessian(const Scaling& s, double regularisation, int p, Triangle to, Pack* along) {
     const Program& g = program_;
@@ -137,7 +140,7 @@ class NewtonSystem {
     });
   }
 
-  // Adds weight[i] a a' for the rows of a matrix: to a row of the triangle after another.
+  // Adds the sum of weight[i] a_i a_i' over the rows a_i of a matrix, one row of the triangle after another.
   template <typename Triangle>
   void add_squares(const Matrix& matrix, int p, Triangle to, Entries weight) const {
     Entries a = matrix.at(p);
@@ -158,7 +161,7 @@ class NewtonSystem {
     conclude<S>(w, systems);
   }
 
-  // The right sides of the nodes' variables, cones and bounds eliminated.
+  // Right-hand sides of the nodes' variables, with cones and bounds eliminated.
   template <int S>
   JAXSCP_CALLED void reduce(const Scaling& scaling, const KKTVectors* systems) {
     const Program& g = program_;
@@ -176,7 +179,7 @@ class NewtonSystem {
     });
   }
 
-  // What row or cone k of a node adds to that.
+  // Contribution of row or cone k of a node.
   void reduce_part(const Scaling& scaling, const KKTVectors& system, int s, int p, int k) {
     const Program& g = program_;
     const int n = g.n;
@@ -200,7 +203,7 @@ class NewtonSystem {
     }
   }
 
-  // The right side of a link's row, its virtual control's bound eliminated.
+  // Right-hand side of a link's row, with the bound of virtual control eliminated.
   Pack link_rhs(const Scaling& s, int p, int i, Packs rx, Packs ry) const {
     const Program& g = program_;
     Entries qy = g.of_cones(ry, p), w = g.of_cones(s.w, p) + g.virtual_;
@@ -209,7 +212,7 @@ class NewtonSystem {
     return (1.0 - soft) * qy[g.zero + i] + soft * tail;
   }
 
-  // Everything that was eliminated, from the nodes' variables and the multipliers of the links.
+  // Eliminated unknowns, from the nodes' variables and the multipliers of the links.
   template <int S>
   JAXSCP_CALLED void conclude(const Scaling& scaling, const KKTVectors* systems) {
     const Program& g = program_;
@@ -230,7 +233,7 @@ class NewtonSystem {
     });
   }
 
-  // The multipliers of row or cone k of a place, and the bounds of cones.
+  // Multipliers of row or cone k of a stage, and the bounds of the norms.
   void conclude_part(const Scaling& scaling, const KKTVectors& system, int s, int p, int k) {
     const Program& g = program_;
     const int n = g.n, m = g.m;
@@ -263,7 +266,7 @@ class NewtonSystem {
       soc::each(v, [&](int i) { return -(scale[i] * x[i] + shift[i]); });
       soc::tail_inverse(tail, e, v, found);
       soc::store(found, to + 1);
-      // (W^2 y)_0 of y = (-xi's price, what was found)
+      // (W^2 y)_0 with y = (-rx_xi, tail)
       const Pack first = -qx[g.xi], w0 = w[g.trust];
       to[0] = first;
       ox[g.xi] = -qy[g.trust] - e * e * (w0 * 2.0 * (w0 * first + soc::dot(tail, found)) - first);
@@ -276,9 +279,9 @@ class NewtonSystem {
   static constexpr double kRootOfTwo = 1.4142135623730951;
   Entries scratch(int p, int system) const { return scratch_[system].of(p, program_.zero); }
 
-  Packs scratch_[kMaxRhs];  // of nodes, as ConeVectors without links: what a phase passes to the next
+  Packs scratch_[kMaxRhs];  // ConeVectors without links, passed from one phase to the next
   Packs trust_shift_[kMaxRhs], rx_[kMaxRhs], ry_[kMaxRhs], dx_[kMaxRhs], dy_[kMaxRhs];
-  KKTVectors refinement_[kMaxRhs];  // of the last four, in refinement
+  KKTVectors refinement_[kMaxRhs];  // right-hand sides and solutions of the refinement
 };
 
 }  // namespace jaxscp

@@ -1,5 +1,5 @@
-// The elimination of the nodes' variables, on a CPU: a panel for each pack of nodes, their Hessian on top and what ties
-// them to the two links next to them below.
+// Elimination of the nodes' variables on a CPU. Each pack of nodes has a panel: the Hessian, and below it the coefficients
+// of the two adjacent links.
 #pragma once
 
 #include "chain_from_ends.h"
@@ -18,8 +18,8 @@ class Nodes {
 
   void read() {}
 
-  // Eliminates them, add(p, Triangle) having added up the lower triangle of each Hessian, and factors what remains in
-  // the links, which have own(p, i) times own(p, j) themselves, and diagonal(p, i) on the diagonal.
+  // Eliminates the nodes and factors the Schur complement in the links. add(p, Triangle) adds up the lower triangle of a
+  // node's Hessian. A link's own compliance is own(p, i) own(p, j), plus diagonal(p, i) on the diagonal.
   template <typename Add, typename Own, typename Diagonal>
   void factor(Chain& chain, const Scaling&, double, Add add, Own own, Diagonal diagonal) {
     const Program& g = program_;
@@ -45,13 +45,13 @@ class Nodes {
     chain.factor();
   }
 
-  // Row j of the right side s of a node.
+  // Row j of right-hand side s of a node.
   template <int S>
   Pack& right(int p, int j, int s) const {
     return right(p)[j * S + s];
   }
 
-  // Solves for the nodes and for the links, whose own right sides are lacks(p, i, s).
+  // Solves for nodes and links; right-hand sides of links are link_rhs(p, i, s).
   template <int S, typename LinkRhs>
   void solve(Chain& chain, LinkRhs link_rhs) {
     const Program& g = program_;
@@ -73,21 +73,21 @@ class Nodes {
     });
   }
 
-  // Row j of side s.
+  // Row j of solution s.
   template <int S>
   Pack solution(int p, int j, int s) const {
     return found(p)[j * S + s];
   }
 
  private:
-  // Entries (i, j) of a matrix by rows.
+  // Matrix stored by rows.
   struct Triangle {
     Pack* first;
     int size;
     Pack& operator()(int i, int j) const { return first[i * size + j]; }
   };
 
-  // Right sides are side by side.
+  // Right-hand sides and solutions, with those of one row adjacent.
   Entries right(int p) const { return right_.of(p, shape_.size * kMaxRhs); }
   Entries found(int p) const { return found_.of(p, shape_.rows * kMaxRhs); }
 
