@@ -3,7 +3,7 @@
 // Every formula of the interior point is the same at every place. Written for a Pack in place of a number, it reads as
 // for one place, and compiles to vector instructions. A Pack is as wide as the machine's registers: of what is wider,
 // compilers take comparisons and permutations apart into single numbers. On a GPU, whose threads are the places
-// (``threads.h``), a Pack is a number.
+// (``parallel.h``), a Pack is a number.
 #pragma once
 
 #if !defined(__CUDACC__)

@@ -44,15 +44,15 @@ inline ProgramData data(const Batch& v, const ProgramLayout& layout, long long e
 
 // Writes second-order cones in the order of ``conic_form.pack_cones``: user's groups, trust region, virtual control.
 inline void put_cones(const Program& p, Packs from, int width, double* to) {
-  auto group = [&](int offset, ConeShape shape, int places) {
-    parallel_for_nowait(places, Parts{shape.count * width}, [&](int k, int i) {
+  auto group = [&](int offset, ConeShape shape, int stages) {
+    parallel_for_nowait(stages, Parts{shape.count * width}, [&](int k, int i) {
       const int cone = i / width, entry = i % width;
       double v = 0.0;
       if (entry < shape.dimension)
         v = get(p.of_cones(from, k / kWidth)[offset + cone * shape.dimension + entry], k % kWidth);
       to[k * shape.count * width + i] = v;
     });
-    to += places * shape.count * width;
+    to += stages * shape.count * width;
   };
   int offset = p.r;
   for (int c = 0; c < p.sizes.groups; ++c) {
@@ -79,7 +79,8 @@ inline void put_scales(const Program& p, const Scales& from, const Batch& batch,
   once([&] { *batch.scale_of_cost.of(element) = from.cost; });
 }
 
-inline void solve_element(const Batch& batch, long long element, Program& program, Scales& scales, InteriorPoint& solver) {
+inline void solve_element(const Batch& batch, long long element, Program& program, Scales& scales,
+                          InteriorPoint& solver) {
   once([&] { program.data = data(batch, program, element); });
   program.read();
   scales.apply(batch.settings.equilibration);

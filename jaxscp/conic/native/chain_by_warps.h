@@ -126,7 +126,8 @@ class Chain {
   // Right-hand sides of a link, later its solutions.
   double* vector(int l) const { return (kVectorsShared ? chain_vectors() : far_.data) + l * m * kMaxRhs; }
   double* middle_update(int end) const { return vector(kLinks + end); }
-  // By a team, stores the lower triangle of a block by columns; a lane's two numbers of a tile are value(tile, e), e < 2.
+  // By a team, stores the lower triangle of a block by columns; a lane's two numbers of a tile are value(tile, e), e <
+  // 2.
   template <typename Value>
   static void assemble(double* columns, Value value) {
     each_lower_tile([&](int tile, int i, int j) {
@@ -137,7 +138,8 @@ class Chain {
     __syncwarp();
   }
 
-  // Product of a matrix and S adjacent vectors, one lane per row; ``down`` and ``along`` are the strides of rows and columns.
+  // Product of a matrix and S adjacent vectors, one lane per row; ``down`` and ``along`` are the strides of rows and
+  // columns.
   template <int S>
   static void multiply(const double* matrix, int down, int along, const double* v, double (&sums)[S]) {
     if (lane_of_warp() >= m) return;

@@ -1,4 +1,5 @@
-// Schur complement in the link multipliers on a CPU: block tridiagonal, factored as L D L' from both ends to the middle.
+// Schur complement in the link multipliers on a CPU: block tridiagonal, factored as L D L' from both ends to the
+// middle.
 //
 // A register holds numbers of one column of one block. Elsewhere a register holds numbers of several stages; here only
 // cyclic reduction would allow that, with three times the arithmetic. Each end can have its own thread.

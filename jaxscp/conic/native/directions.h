@@ -23,7 +23,8 @@ inline void InteriorPoint::step() {
   embed(1.0, slope, product);
   const double fraction = warm_ ? kProgramFraction : kEmbeddedFraction;
   const Steps affine = find_slacks(old.s);
-  if (uniform(affine_suffices(affine, fraction))) return take_step(fraction * affine.primal, fraction * affine.dual, 1.0);
+  if (uniform(affine_suffices(affine, fraction)))
+    return take_step(fraction * affine.primal, fraction * affine.dual, 1.0);
   const double sigma = centring(affine);
   const double target = product + direction_.tau * direction_.kappa - sigma * r.mu;
 
@@ -35,8 +36,8 @@ inline void InteriorPoint::step() {
   take_step(fraction * longest.primal, fraction * longest.dual, 1.0 - sigma);
 }
 
-// Mehrotra's sigma: cube of the fraction of complementarity that remains after the affine step; in the embedding, of all
-// residuals.
+// Mehrotra's sigma: cube of the fraction of complementarity that remains after the affine step; in the embedding, of
+// all residuals.
 inline double InteriorPoint::centring(const Steps& affine) const {
   const double left = maximum(0.0, minimum(1.0, warm_ ? remaining(affine, 1.0) : 1.0 - affine.primal));
   return left * left * left;
@@ -55,8 +56,8 @@ inline double InteriorPoint::remaining(const Steps& affine, double fraction) con
   return 1.0 - b + ((a - b) * affine.along + a * b * affine.squared) / before;
 }
 
-// Right-hand side of the combined direction:  slack = s + W (lambda \ (W^-1 ds o W dy - centre e)), where lambda = W y and
-// (ds, dy) is the affine direction; residuals are reduced by ``fraction``. The slack term overwrites ds.
+// Right-hand side of the combined direction:  slack = s + W (lambda \ (W^-1 ds o W dy - centre e)), where lambda = W y
+// and (ds, dy) is the affine direction; residuals are reduced by ``fraction``. The slack term overwrites ds.
 JAXSCP_CALLED inline void InteriorPoint::correct(double fraction, double centre) {
   const Program& g = program_;
   const Residuals& r = residuals_;
@@ -68,7 +69,8 @@ JAXSCP_CALLED inline void InteriorPoint::correct(double fraction, double centre)
       },
       [&](int p, int i, int d, int c) {
         auto load = [&](Packs v) { return soc::load(at(v, p) + i, d); };
-        const soc::ConeRegisters w = load(scaling_.w), dy = load(direction_.y), y = load(iterate_.y), s = load(iterate_.s);
+        const soc::ConeRegisters w = load(scaling_.w), dy = load(direction_.y), y = load(iterate_.y);
+        const soc::ConeRegisters s = load(iterate_.s);
         const soc::ConeRegisters residual = load(r.y);
         soc::ConeRegisters slack = load(direction_.s), other = soc::output(at(ry_, p) + i, d);
         const Pack eta = scaling_.eta_of(p, c);
@@ -113,8 +115,8 @@ JAXSCP_CALLED inline void InteriorPoint::embed(double fraction, double slope, do
   });
 }
 
-// Direction of the slacks, ds = -(slack_term + W^2 dy), and the step lengths; ds may overwrite the slack term. In a linear
-// program the dual residual does not depend on the variables, so that the two step lengths may differ.
+// Direction of the slacks, ds = -(slack_term + W^2 dy), and the step lengths; ds may overwrite the slack term. In a
+// linear program the dual residual does not depend on the variables, so that the two step lengths may differ.
 JAXSCP_CALLED inline InteriorPoint::Steps InteriorPoint::find_slacks(Packs slack_term) {
   const Program& g = program_;
   const Iterate& old = iterate_;
@@ -136,7 +138,8 @@ JAXSCP_CALLED inline InteriorPoint::Steps InteriorPoint::find_slacks(Packs slack
     } else {
       auto [first, d, of_link] = g.cone_at(k - g.r);
       auto load = [&](Packs v) { return soc::load(at(v, p) + first, d); };
-      const soc::ConeRegisters w = load(scaling_.w), term = load(slack_term), s = load(old.s), y = load(old.y), dy = load(out.y);
+      const soc::ConeRegisters w = load(scaling_.w), term = load(slack_term), s = load(old.s), y = load(old.y);
+      const soc::ConeRegisters dy = load(out.y);
       soc::ConeRegisters ds = soc::output(at(out.s, p) + first, d);
       soc::ConeRegisters square = soc::output(at(ry_, p) + first, d);  // the right-hand side is no longer needed
       soc::square(w, scaling_.eta_of(p, k - g.r), dy, square);
@@ -146,7 +149,8 @@ JAXSCP_CALLED inline InteriorPoint::Steps InteriorPoint::find_slacks(Packs slack
           soc::inverse_step(s, ds), soc::inverse_step(y, dy));
     }
   });
-  double primal = 1.0 / maximum(1.0, found.largest(kOfSlacks)), dual = 1.0 / maximum(1.0, found.largest(kOfMultipliers));
+  double primal = 1.0 / maximum(1.0, found.largest(kOfSlacks));
+  double dual = 1.0 / maximum(1.0, found.largest(kOfMultipliers));
   if (!warm_ || g.hessian.entries > 0) {
     auto bound = [](double v, double d) { return d < 0.0 ? -v / d : 1.0; };
     primal = minimum(minimum(primal, dual), minimum(bound(old.tau, out.tau), bound(old.kappa, out.kappa)));
@@ -193,7 +197,8 @@ JAXSCP_CALLED inline void InteriorPoint::take_step(double primal, double dual, d
          return unit * (from[k] + (k < first || k >= end ? primal : dual) * to[k]);
        });
   const bool exact = close_to_end();
-  Measures found = exact ? measure(next) : predict(next, unit * (1.0 - primal * removed), unit * (1.0 - dual * removed));
+  Measures found =
+      exact ? measure(next) : predict(next, unit * (1.0 - primal * removed), unit * (1.0 - dual * removed));
   if (!exact && uniform(needs_exact_residuals(found))) found = measure(next);
   once([&] {
     double error = found.error, before = residuals_.error;

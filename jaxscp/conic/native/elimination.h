@@ -16,7 +16,8 @@ struct PanelShape {
   int size, rows;
 };
 
-// A panel is [A; B] by rows. Its first ``size`` rows hold the lower triangle of A, later L with 1 / L_jj on the diagonal.
+// A panel is [A; B] by rows. Its first ``size`` rows hold the lower triangle of A, later L with 1 / L_jj on the
+// diagonal.
 
 constexpr int kTile = 4;  // 4 x 4 sums fill the registers
 

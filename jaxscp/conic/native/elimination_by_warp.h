@@ -3,8 +3,8 @@
 //     [ A  B' ]
 //     [ B  0  ]       A = L L',  M = L'^-1,  K = B M
 //
-// M instead of L turns solutions into products: A^-1 = M M'. Lane i holds row i of A in registers during elimination; the
-// products run on tensor cores.
+// M instead of L turns solutions into products: A^-1 = M M'. Lane i holds row i of A in registers during elimination;
+// the products run on tensor cores.
 #pragma once
 
 #include "layout.h"
@@ -73,8 +73,8 @@ JAXSCP_CALLED void invert_factor(double* tile) {
   __syncwarp();
 }
 
-// Adds the product of an 8 x 4 and a 4 x 8 matrix to 8 x 8 sums, on the tensor cores of a whole warp. Lane 4 i + k holds
-// entry (i, k) of the first factor, (k, i) of the second, and two sums in row i, from column 2 k on.
+// Adds the product of an 8 x 4 and a 4 x 8 matrix to 8 x 8 sums, on the tensor cores of a whole warp. Lane 4 i + k
+// holds entry (i, k) of the first factor, (k, i) of the second, and two sums in row i, from column 2 k on.
 #if defined(JAXSCP_EMULATED_GPU)
 void add_products(double (&sums)[2], double a, double b);
 #else
@@ -95,8 +95,8 @@ inline void gram(const Row& a, const Row& b, Put put) {
   put(sums);
 }
 
-// Products with M, which is in a tile. A ``Row`` is eight rows of K = B M, in the registers of the tensor cores' sums. It
-// is a factor of the next product, with the columns in another order.
+// Products with M, which is in a tile. A ``Row`` is eight rows of K = B M, in the registers of the tensor cores' sums.
+// It is a factor of the next product, with the columns in another order.
 template <int kSize>
 class Products {
  public:

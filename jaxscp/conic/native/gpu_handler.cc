@@ -42,12 +42,13 @@ Kernel load(const Driver& cuda, ffi::Span<const uint8_t> cubin, CUstream stream,
   auto set_shared_memory = [&](long long bytes) {
     return cuda.cuFuncSetAttribute(kernel.solve, kSharedMost, static_cast<int>(bytes));
   };
-  if (set_shared_memory(kernel.shared_alone) != 0) kernel.shared_alone = 0, failure(set_shared_memory(kernel.shared), "sharing memory");
+  if (set_shared_memory(kernel.shared_alone) != 0)
+    kernel.shared_alone = 0, failure(set_shared_memory(kernel.shared), "sharing memory");
   return kernel;
 }
 
-// ``blocks``: blocks per multiprocessor, with ``threads`` threads each. ``alone``: threads of a block that is alone on its
-// multiprocessor, in small batches.
+// ``blocks``: blocks per multiprocessor, with ``threads`` threads each. ``alone``: threads of a block that is alone on
+// its multiprocessor, in small batches.
 ffi::Error solve(CUstream stream, ffi::ScratchAllocator scratch, ffi::RemainingArgs args, ffi::RemainingRets rets,
                  ffi::Dictionary attrs) {
   auto found = sized_batch(args, rets, attrs);
@@ -93,7 +94,8 @@ ffi::Error solve(CUstream stream, ffi::ScratchAllocator scratch, ffi::RemainingA
       void *counter = *memory, *workspace = static_cast<char*>(counter) + kCounter;
       long long numbers = kernel.workspace;
       void* arguments[] = {&found->batch, &workspace, &numbers, &counter};
-      failure(cuda.cuMemsetD8Async(reinterpret_cast<unsigned long long>(counter), 0, kCounter, stream), "starting it") &&
+      const auto address = reinterpret_cast<unsigned long long>(counter);
+      failure(cuda.cuMemsetD8Async(address, 0, kCounter, stream), "starting it") &&
           failure(cuda.cuLaunchKernel(kernel.solve, static_cast<unsigned>(grid), 1, 1, static_cast<unsigned>(block),
                                       1, 1, static_cast<unsigned>(shared), stream, arguments, nullptr),
                   "launching it");

@@ -57,7 +57,8 @@ struct Worker {
 
   static Worker& of_thread(const Sizes& sizes, const Settings& settings) {
     thread_local std::unique_ptr<Worker> worker;
-    if (!worker || worker->sizes != sizes || worker->settings != settings) worker = std::make_unique<Worker>(sizes, settings);
+    if (!worker || worker->sizes != sizes || worker->settings != settings)
+      worker = std::make_unique<Worker>(sizes, settings);
     return *worker;
   }
 };
@@ -79,7 +80,9 @@ void solve_together(ffi::ThreadPool& pool, const Batch& batch, Worker& worker) {
   Team team(help ? threads : 1, packs);
   const auto begin = Clock::now();
   with_helpers(pool, help ? threads - 1 : 0,
-               [&] { as_member(team, 0, [&] { solve_element(batch, 0, worker.program, worker.scales, worker.solver); }); },
+               [&] {
+                 as_member(team, 0, [&] { solve_element(batch, 0, worker.program, worker.scales, worker.solver); });
+               },
                [&] { as_member(team, -1, [&] { worker.solver.work(); }); });
   const double seconds = std::chrono::duration<double>(Clock::now() - begin).count();
   worker.timings.add(help, seconds / (1 + worker.solver.iterations));
@@ -104,5 +107,6 @@ ffi::Error solve(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::RemainingRe
 }  // namespace
 }  // namespace jaxscp
 
-XLA_FFI_DEFINE_HANDLER_SYMBOL(jaxscp_interior_point, jaxscp::solve,
-                              xla::ffi::Ffi::Bind().Ctx<xla::ffi::ThreadPool>().RemainingArgs().RemainingRets().Attrs());
+XLA_FFI_DEFINE_HANDLER_SYMBOL(
+    jaxscp_interior_point, jaxscp::solve,
+    xla::ffi::Ffi::Bind().Ctx<xla::ffi::ThreadPool>().RemainingArgs().RemainingRets().Attrs());

@@ -58,8 +58,8 @@ struct Layout {
 
   constexpr explicit Layout(const Sizes& s)
       : sizes(s), nodes(s.nodes), n(s.variables), m(s.link_rows), r(s.rows), u(0), has_norm(s.has_norm),
-        packs(packs_for(s.nodes + 1, kStageMultiple)), primal{n + 2, n + 1}, cone{}, xi(n), zeta(n + 1), trust(0), zero(0),
-        virtual_(0), cone_count(0), user_cones(0), trust_cone(0), virtual_cone(0), cones{}, degree(0.0) {
+        packs(packs_for(s.nodes + 1, kStageMultiple)), primal{n + 2, n + 1}, cone{}, xi(n), zeta(n + 1), trust(0),
+        zero(0), virtual_(0), cone_count(0), user_cones(0), trust_cone(0), virtual_cone(0), cones{}, degree(0.0) {
     int at = r;
     for (int g = 0; g < s.groups; ++g)
       for (int i = 0; i < s.cones[g].count; ++i, at += s.cones[g].dimension)

@@ -62,7 +62,7 @@ class Matrix {
   Matrix(int rows, int columns, int packs, Arena& arena)
       : rows(rows), columns(columns), index_{arena.take_integers(rows + 1), arena.take_integers(rows * columns),
                                            arena.take_integers(columns + 1), arena.take_integers(rows * columns)},
-        fast_index_(index_), place_(arena.take_integers(rows * columns)), value_(arena.take(packs * rows * columns)) {}
+        fast_index_(index_), number_(arena.take_integers(rows * columns)), value_(arena.take(packs * rows * columns)) {}
 
   int size() const { return rows * columns; }
 
@@ -70,8 +70,8 @@ class Matrix {
   // and read again.
   bool read(int nodes, int packs, MatrixSource from, int at) {
     const MatrixSource::Entry entry = from.entry(at / columns, at % columns);
-    const bool known = entries >= 0, was_filled = known && place_[at] != kNone;
-    const int e = was_filled ? place_[at] : 0;
+    const bool known = entries >= 0, was_filled = known && number_[at] != kNone;
+    const int e = was_filled ? number_[at] : 0;
     bool filled = false;
     for (int first = 0; first < packs; first += kAtOnce) {
       Pack v[kAtOnce];
@@ -87,33 +87,34 @@ class Matrix {
         if (was_filled && first + k < packs) this->at(first + k)[e] = v[k];
     }
     if (known && filled == was_filled) return true;
-    place_[at] = filled ? 0 : kNone;
+    number_[at] = filled ? 0 : kNone;
     return false;
   }
 
   // Numbers the nonzero entries.
-  JAXSCP_CALLED void enumerate(FastIndices& warm) {
+  JAXSCP_CALLED void enumerate(FastIndices& fast) {
     list(index_.row_start, rows, columns, [&](int i, int j) { return i * columns + j; },
-         [&](int e, int i, int j, int at) { index_.of_row[e] = pair(i, j), place_[at] = e; });
+         [&](int e, int i, int j, int at) { index_.of_row[e] = pair(i, j), number_[at] = e; });
     list(index_.column_start, columns, rows, [&](int j, int i) { return i * columns + j; },
-         [&](int f, int, int i, int at) { index_.of_column[f] = pair(i, place_[at] - index_.row_start[i]); });
+         [&](int f, int, int i, int at) { index_.of_column[f] = pair(i, number_[at] - index_.row_start[i]); });
     once([&] {
       entries = index_.row_start[rows];
-      fast_index_.row_start = warm.take(index_.row_start, rows + 1), fast_index_.of_row = warm.take(index_.of_row, entries);
-      fast_index_.column_start = warm.take(index_.column_start, columns + 1);
-      fast_index_.of_column = warm.take(index_.of_column, entries);
+      fast_index_.row_start = fast.take(index_.row_start, rows + 1);
+      fast_index_.of_row = fast.take(index_.of_row, entries);
+      fast_index_.column_start = fast.take(index_.column_start, columns + 1);
+      fast_index_.of_column = fast.take(index_.of_column, entries);
     });
-    warm.copy(index_.row_start, fast_index_.row_start, rows + 1), warm.copy(index_.of_row, fast_index_.of_row, entries);
-    warm.copy(index_.column_start, fast_index_.column_start, columns + 1);
-    warm.copy(index_.of_column, fast_index_.of_column, entries);
+    fast.copy(index_.row_start, fast_index_.row_start, rows + 1), fast.copy(index_.of_row, fast_index_.of_row, entries);
+    fast.copy(index_.column_start, fast_index_.column_start, columns + 1);
+    fast.copy(index_.of_column, fast_index_.of_column, entries);
   }
 
   Entries at(int pack) const { return value_.of(pack, entries); }
   // Number of entry (i, j); negative if the entry is zero at all nodes.
-  int number(int i, int j) const { return place_[i * columns + j]; }
+  int number(int i, int j) const { return number_[i * columns + j]; }
 
-  // Calls act(e, j) for every nonzero entry of row i, e being its number and j its column. On a GPU the loop is unrolled
-  // twice: with more, all such loops together would outgrow the instruction cache.
+  // Calls act(e, j) for every nonzero entry of row i, e being its number and j its column. On a GPU the loop is
+  // unrolled twice: with more, all such loops together would outgrow the instruction cache.
   template <typename Act>
   void each_of_row(int i, Act act) const {
     const int end = fast_index_.row_start[i + 1];
@@ -179,23 +180,23 @@ class Matrix {
   static int second(int pair) { return pair & 0xffff; }
 
   // Numbers the nonzero entries line by line (rows or columns); entries of line i begin with begin[i].
-  template <typename Place, typename Put>
-  void list(int* begin, int lines, int length, Place place, Put put) {
+  template <typename Position, typename Put>
+  void list(int* begin, int lines, int length, Position position, Put put) {
     parallel_for(lines, [&](int i) {
       int count = 0;
-      for (int j = 0; j < length; ++j) count += place_[place(i, j)] != kNone;
+      for (int j = 0; j < length; ++j) count += number_[position(i, j)] != kNone;
       begin[i + 1] = count;
     });
     add_up(begin, lines);
     parallel_for(lines, [&](int i) {
       int number = begin[i];
       for (int j = 0; j < length; ++j)
-        if (int at = place(i, j); place_[at] != kNone) put(number++, i, j, at);
+        if (int at = position(i, j); number_[at] != kNone) put(number++, i, j, at);
     });
   }
 
   Index index_, fast_index_;
-  int* place_;  // number of each entry (i, j), or kNone
+  int* number_;  // number of each entry (i, j), or kNone
   Packs value_;
 };
 

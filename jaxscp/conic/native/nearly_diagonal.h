@@ -2,9 +2,9 @@
 //
 //     H = Q + by S^2 - c v v',    v = S w,   c = 2 by / (1 + 2 |w|^2)
 //
-// S holds the trust region's scales, w is the tail of the scaling point of its cone, and by = 1 / eta^2. Q collects cost,
-// half-spaces and user's cones; it is diagonal except for a few coupled variables. So is A = Q + by S^2, and by the
-// Sherman-Morrison formula
+// S holds the trust region's scales, w is the tail of the scaling point of its cone, and by = 1 / eta^2. Q collects
+// cost, half-spaces and user's cones; it is diagonal except for a few coupled variables. So is A = Q + by S^2, and by
+// the Sherman-Morrison formula
 //
 //     H^-1 = A^-1 + u u',   u = A^-1 v (by / k)^1/2,   k = 1/2 + w'(w - by S A^-1 v).
 //
@@ -43,8 +43,8 @@ class NearlyDiagonal {
     });
   }
 
-  // Whether few enough variables are coupled, and a cone's registers can hold a node's variables. With a trust region they
-  // can.
+  // Whether few enough variables are coupled, and a cone's registers can hold a node's variables. With a trust region
+  // they can.
   bool supports() const { return count_ <= kMaxCoupled && n <= soc::ConeRegisters::kSlots * kLanesOfCone; }
 
   // Computes the inverses at all nodes.
@@ -74,12 +74,14 @@ class NearlyDiagonal {
         for (int j = 0; j < kMaxCoupled; ++j)
           of_coupled[i][j] = __shfl_sync(kAllLanes, mine, lane_of_warp() - lane + (j <= i ? i * (i + 1) / 2 + j : 0));
       // M' = L^-1 of the coupled block
-      Pack s[kMaxCoupled], t[kMaxCoupled], v[kMaxCoupled], solved[kMaxCoupled], m[kMaxCoupled][kMaxCoupled], whole[kMaxCoupled][kMaxCoupled], denominator = 0.0;
+      Pack s[kMaxCoupled], t[kMaxCoupled], v[kMaxCoupled], solved[kMaxCoupled], denominator = 0.0;
+      Pack m[kMaxCoupled][kMaxCoupled], whole[kMaxCoupled][kMaxCoupled];
 #pragma unroll
       for (int i = 0; i < kMaxCoupled; ++i) {
         s[i] = entry(scale, i), t[i] = entry(tail, i), v[i] = i < count_ ? s[i] * t[i] : 0.0;
 #pragma unroll
-        for (int j = 0; j <= i; ++j) whole[i][j] = of_coupled[i][j] + (i == j ? i < count_ ? by * s[i] * s[i] : 1.0 : 0.0);
+        for (int j = 0; j <= i; ++j)
+          whole[i][j] = of_coupled[i][j] + (i == j ? i < count_ ? by * s[i] * s[i] : 1.0 : 0.0);
       }
       invert(whole, m);
       times(m, v, solved);
@@ -133,8 +135,8 @@ class NearlyDiagonal {
     return out;
   }
 
-  // Products with H^-1 = R R', R = [1 / sqrt(a) M u]: rows of K = B R. A ``Row`` is eight rows as a factor for the tensor
-  // cores, four columns at a time; the last four columns belong to M and u.
+  // Products with H^-1 = R R', R = [1 / sqrt(a) M u]: rows of K = B R. A ``Row`` is eight rows as a factor for the
+  // tensor cores, four columns at a time; the last four columns belong to M and u.
   class Products {
    public:
     static constexpr int kSteps = (ProgramLayout::n + 3) / 4;
@@ -210,8 +212,8 @@ class NearlyDiagonal {
   JAXSCP_CALLED Pack of_cost(const Scaling& scaling, double regularisation, int p, int one, int other) const {
     const Program& g = program_;
     const Entries w = g.of_cones(scaling.w, p), of_rows = g.rows.at(p), of_user = g.user.at(p);
-    const int place = g.hessian.number(one, other);
-    Pack total = (one == other ? regularisation : 0.0) + (place >= 0 ? g.hessian.at(p)[place] : 0.0);
+    const int entry_number = g.hessian.number(one, other);
+    Pack total = (one == other ? regularisation : 0.0) + (entry_number >= 0 ? g.hessian.at(p)[entry_number] : 0.0);
     g.rows.each_of_column(one, [&](int e, int row) {
       const int f = one == other ? e : g.rows.number(row, other);
       if (f >= 0) total += of_rows[e] * of_rows[f] * inverse(w[row] * w[row]);

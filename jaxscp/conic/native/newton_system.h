@@ -21,8 +21,8 @@ class NewtonSystem {
     }
   }
 
-  // Right-hand side (rx, ry) and solution (x, y). On a GPU they must be in shared memory; otherwise each thread would have
-  // a copy.
+  // Right-hand side (rx, ry) and solution (x, y). On a GPU they must be in shared memory; otherwise each thread would
+  // have a copy.
   struct KKTVectors {
     Packs rx, ry, x, y;
   };
@@ -46,8 +46,8 @@ class NewtonSystem {
     nodes_.factor(chain_, scaling, regularisation, add, along, diagonal);
   }
 
-  // Solves [P A'; A -W^2] (x, y) = (rx, ry) for S right-hand sides at once. Refinement uses residuals of this full system,
-  // and so restores the digits that the elimination of cones near their boundary loses.
+  // Solves [P A'; A -W^2] (x, y) = (rx, ry) for S right-hand sides at once. Refinement uses residuals of this full
+  // system, and so restores the digits that the elimination of cones near their boundary loses.
   template <int S>
   JAXSCP_CALLED void solve(const Scaling& scaling, int refinements, const KKTVectors* systems) {
     solve_once<S>(scaling, systems);
@@ -67,8 +67,8 @@ class NewtonSystem {
   }
 
  private:
-  // Residual of a solution, at part k of a stage, written to rx and ry of ``to``, which holds P x, A x and A'y in rx, ry
-  // and x.
+  // Residual of a solution, at part k of a stage, written to rx and ry of ``to``, which holds P x, A x and A'y in rx,
+  // ry and x.
   void residual(const Scaling& scaling, const KKTVectors& system, const KKTVectors& to, int p, int k) const {
     const Program& g = program_;
     Entries ry = g.of_cones(system.ry, p), y = g.of_cones(system.y, p), w = g.of_cones(scaling.w, p);
@@ -88,8 +88,8 @@ class NewtonSystem {
            });
   }
 
-  // Adds the lower triangle of the node's Hessian P + G' W^-2 G, with the trust region's bound eliminated. ``along`` is a
-  // buffer for a vector.
+  // Adds the lower triangle of the node's Hessian P + G' W^-2 G, with the trust region's bound eliminated. ``along`` is
+  // a buffer for a vector.
   template <typename Triangle>
   void add_hessian(const Scaling& s, double regularisation, int p, Triangle to, Pack* along) {
     const Program& g = program_;
@@ -157,7 +157,8 @@ class NewtonSystem {
   template <int S>
   JAXSCP_CALLED void solve_once(const Scaling& w, const KKTVectors* systems) {
     reduce<S>(w, systems);
-    nodes_.template solve<S>(chain_, [&](int p, int i, int s) { return link_rhs(w, p, i, systems[s].rx, systems[s].ry); });
+    nodes_.template solve<S>(
+        chain_, [&](int p, int i, int s) { return link_rhs(w, p, i, systems[s].rx, systems[s].ry); });
     conclude<S>(w, systems);
   }
 

@@ -1,5 +1,5 @@
-// Elimination of the nodes' variables on a CPU. Each pack of nodes has a panel: the Hessian, and below it the coefficients
-// of the two adjacent links.
+// Elimination of the nodes' variables on a CPU. Each pack of nodes has a panel: the Hessian, and below it the
+// coefficients of the two adjacent links.
 #pragma once
 
 #include "chain_from_ends.h"
@@ -18,8 +18,8 @@ class Nodes {
 
   void read() {}
 
-  // Eliminates the nodes and factors the Schur complement in the links. add(p, Triangle) adds up the lower triangle of a
-  // node's Hessian. A link's own compliance is own(p, i) own(p, j), plus diagonal(p, i) on the diagonal.
+  // Eliminates the nodes and factors the Schur complement in the links. add(p, Triangle) adds up the lower triangle of
+  // a node's Hessian. A link's own compliance is own(p, i) own(p, j), plus diagonal(p, i) on the diagonal.
   template <typename Add, typename Own, typename Diagonal>
   void factor(Chain& chain, const Scaling&, double, Add add, Own own, Diagonal diagonal) {
     const Program& g = program_;

@@ -24,7 +24,7 @@ class Nodes {
       parallel_for(2 * kPadded * n, [&](int k) {
         const int i = k / n, j = k % n, of_link = i % kPadded;
         const int e = of_link >= m ? -1 : i < kPadded ? after.number(i, j) : before.number(of_link, j);
-        place()[k] = e < 0 ? -1 : i < kPadded ? e : after.entries + e;
+        coefficient_index()[k] = e < 0 ? -1 : i < kPadded ? e : after.entries + e;
       });
     }
     // A thread copies several numbers of a node, which are adjacent in the destination but not in the source.
@@ -39,8 +39,8 @@ class Nodes {
     });
   }
 
-  // Eliminates the nodes and factors the Schur complement in the links. add(p, Triangle) adds up the lower triangle of a
-  // node's Hessian. A link's own compliance is own(p, i) own(p, j), plus diagonal(p, i) on the diagonal.
+  // Eliminates the nodes and factors the Schur complement in the links. add(p, Triangle) adds up the lower triangle of
+  // a node's Hessian. A link's own compliance is own(p, i) own(p, j), plus diagonal(p, i) on the diagonal.
   template <typename Add, typename Own, typename Diagonal>
   JAXSCP_CALLED void factor(Chain& chain, const Scaling& scaling, double regularisation, Add add, Own own,
                             Diagonal diagonal) {
@@ -136,7 +136,7 @@ class Nodes {
   Entries right(int p, int s) const { return right_.of(p, n * kMaxRhs) + s * n; }
   Entries found(int p) const { return found_.of(p, n * kMaxRhs); }
   // Index of each entry among a node's coefficients: rows of its link, then of the next link, both padded.
-  static short* place() {
+  static short* coefficient_index() {
     __shared__ short of_entry[2 * kPadded * n];
     return of_entry;
   }
@@ -152,7 +152,7 @@ class Nodes {
     const double* coupling_of = coupling(p);
     auto find = [&](int s) {
       return products.find([&](int i, int j) {
-        const int e = place()[(8 * s + i) * n + j];
+        const int e = coefficient_index()[(8 * s + i) * n + j];
         return e < 0 ? 0.0 : coupling_of[e];
       });
     };
@@ -208,7 +208,9 @@ class Nodes {
     static_assert(2 * n * kMaxRhs <= kWarpScratch);
     parallel_for_teams(warps(), [&](int w) {
       const int lane = lane_of_warp();
-      auto begin = [&](double* buffer, int p) { copy_async(buffer, &factors_[p * kTriangle], p < nodes ? kTriangle : 0); };
+      auto begin = [&](double* buffer, int p) {
+        copy_async(buffer, &factors_[p * kTriangle], p < nodes ? kTriangle : 0);
+      };
       double *buffer = warp_tile(), *other = buffer + kTriangle;
       begin(buffer, w);
 #pragma unroll 1

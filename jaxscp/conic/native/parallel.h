@@ -4,7 +4,7 @@
 //     parallel_for(packs, parts, act)    act(p, k) for p < packs and all parts k of a stage
 //     parallel_for_teams(count, act)     act(p) for p < count, each by a team: a warp of a GPU, a thread of a CPU
 //     in_team(count, act)                act(i) for i < count, within a team
-//     fill(packs, count, place, value)   place(p, i) = value(p, i)
+//     fill(packs, count, target, value)  target(p, i) = value(p, i)
 //     fold(packs, parts, first, act)     reduction, see ``Totals``
 //     once(act)                          act() on one thread
 //

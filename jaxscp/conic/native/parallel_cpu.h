@@ -44,9 +44,9 @@ inline void parallel_for(int packs, Parts parts, Act act) {
   wait();
 }
 
-template <typename Place, typename Value>
-inline void fill(int packs, int count, Place place, Value value) {
-  parallel_for(packs, Parts{count}, [&](int p, int i) { place(p, i) = value(p, i); });
+template <typename Target, typename Value>
+inline void fill(int packs, int count, Target target, Value value) {
+  parallel_for(packs, Parts{count}, [&](int p, int i) { target(p, i) = value(p, i); });
 }
 
 // On a CPU a team is a single thread.

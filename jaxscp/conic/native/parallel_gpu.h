@@ -22,8 +22,8 @@ inline int warp_of_block() { return threadIdx.x / kWarp; }
 // Same number, by a shuffle: the compiler then knows that all lanes agree, and computes dependent values once per warp.
 inline int common_warp() { return __shfl_sync(kAllLanes, warp_of_block(), 0); }
 
-// Condition on which all lanes agree. Told so, the compiler does not expect divergent lanes in the branches, which would
-// nearly double the code.
+// Condition on which all lanes agree. Told so, the compiler does not expect divergent lanes in the branches, which
+// would nearly double the code.
 inline bool uniform(bool known) { return __any_sync(kAllLanes, known); }
 
 // Calls act(i) for i < count.
@@ -35,10 +35,10 @@ inline void parallel_for(int count, Act act) {
   wait();
 }
 
-// place(p, i) = value(p, i) for p < packs and i < count. A thread reads several values before it writes any, so that the
-// reads overlap.
-template <typename Place, typename Value>
-inline void fill(int packs, int count, Place place, Value value) {
+// target(p, i) = value(p, i) for p < packs and i < count. A thread reads several values before it writes any, so that
+// the reads overlap.
+template <typename Target, typename Value>
+inline void fill(int packs, int count, Target target, Value value) {
   constexpr int kAtOnce = 4;
   const int rounds = packs / kWarp, all = rounds * count;
 #pragma unroll 1
@@ -50,7 +50,7 @@ inline void fill(int packs, int count, Place place, Value value) {
       if (int i = first + k * warps(); i < all) found[k] = value(at(i), i / rounds);
 #pragma unroll
     for (int k = 0; k < kAtOnce; ++k)
-      if (int i = first + k * warps(); i < all) place(at(i), i / rounds) = found[k];
+      if (int i = first + k * warps(); i < all) target(at(i), i / rounds) = found[k];
   }
   wait();
 }
@@ -59,8 +59,8 @@ inline void fill(int packs, int count, Place place, Value value) {
 constexpr int kLanesOfCone = 8;
 inline int lane_of_cone() { return lane_of_warp() % kLanesOfCone; }
 
-// Calls act(p, k) for p < packs and all parts k. The lanes of a warp have the same k and neighbouring stages; for cones,
-// kLanesOfCone lanes have the same stage.
+// Calls act(p, k) for p < packs and all parts k. The lanes of a warp have the same k and neighbouring stages; for
+// cones, kLanesOfCone lanes have the same stage.
 template <typename Act>
 inline void parallel_for_nowait(int packs, Parts parts, Act act) {
   const int rounds = (packs + kWarp - 1) / kWarp, rest = parts.single + parts.cones * kLanesOfCone;

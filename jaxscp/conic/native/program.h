@@ -29,8 +29,8 @@ class Program : public ProgramLayout {
     once([&] { changed = false; });
     read_matrices();
     if (changed) {
-      FastIndices warm;
-      each_matrix([&](Matrix& matrix, MatrixSource) { matrix.enumerate(warm); });
+      FastIndices fast;
+      each_matrix([&](Matrix& matrix, MatrixSource) { matrix.enumerate(fast); });
       read_matrices();
     }
     gather(g.soft, nodes + 1, m, soft, 0, m);
@@ -82,8 +82,8 @@ class Program : public ProgramLayout {
     });
   }
 
-  // The same products by parts, for callers that use each entry at once. First ``begin_times`` computes contributions to
-  // neighbouring stages. Then part k of a stage calls row(i, entry i of A x), twice for a row of a link, or
+  // The same products by parts, for callers that use each entry at once. First ``begin_times`` computes contributions
+  // to neighbouring stages. Then part k of a stage calls row(i, entry i of A x), twice for a row of a link, or
   // variable(j, entry j of P x, entry j of A'y).
   JAXSCP_CALLED void begin_times(Packs x, Packs y) const {
     parallel_for_nowait(packs, Parts{m}, [&](int p, int k) { carry_.of(p, m)[k] = carried(p, k, x); });
@@ -180,8 +180,8 @@ class Program : public ProgramLayout {
     act(user, {nullptr, g.cones, u, n});
   }
 
-  // Reads a ConeVector from arrays of half-spaces (``beyond`` past the end of the chain), user's cones and links. Hard rows
-  // of links go to the zero cone, soft rows to virtual control's cone. All other entries are zero.
+  // Reads a ConeVector from arrays of half-spaces (``beyond`` past the end of the chain), user's cones and links. Hard
+  // rows of links go to the zero cone, soft rows to virtual control's cone. All other entries are zero.
   JAXSCP_CALLED void gather_cones(const double* of_rows, double beyond, const double* ProgramData::ConeGroup::*of_cone,
                                   const double* of_links, Packs to) const {
     parallel_for(to.size, [&](int i) { to[i] = all(0.0); });

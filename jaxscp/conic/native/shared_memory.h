@@ -14,8 +14,8 @@ constexpr int even(int count) { return (count + 1) / 2 * 2; }  // size that can 
 constexpr int kTriangle = even(kLayout.n * (kLayout.n + 1) / 2);
 constexpr int kTileSize = even(larger_of(2 * kTriangle, larger_of(kLayout.n * kLayout.n, kLayout.m * kLayout.m)));
 
-// Blocks of the chain are stored in tiles of eight rows and columns, row by row, in the layout of the tensor cores' sums:
-// lane l holds two neighbours, at 2 l. Of a symmetric block, only the lower tiles are stored.
+// Blocks of the chain are stored in tiles of eight rows and columns, row by row, in the layout of the tensor cores'
+// sums: lane l holds two neighbours, at 2 l. Of a symmetric block, only the lower tiles are stored.
 constexpr int kTile = 64, kAcross = (kLayout.m + 7) / 8, kPadded = 8 * kAcross;
 constexpr int kLower = kAcross * (kAcross + 1) / 2 * kTile, kSquare = kAcross * kAcross * kTile;
 constexpr int lower_tile(int s, int t) { return (s * (s + 1) / 2 + t) * kTile; }
@@ -43,7 +43,8 @@ constexpr bool kVectorsShared = kSolutions <= 1536;
 constexpr int kChainVectors = kVectorsShared ? kSolutions : 0;
 // Two warps eliminate the chain in their tiles; their copies lie in the other warps' tiles.
 constexpr int shared_memory_size(int warps) {
-  return warps * kWarpScratch + kChainVectors + larger_of(larger_of(warps, 2) * kTileSize, 2 * (kTileSize + kPrefetched));
+  return warps * kWarpScratch + kChainVectors +
+         larger_of(larger_of(warps, 2) * kTileSize, 2 * (kTileSize + kPrefetched));
 }
 
 #if defined(JAXSCP_EMULATED_GPU)

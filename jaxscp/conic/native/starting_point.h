@@ -31,7 +31,8 @@ JAXSCP_CALLED inline void InteriorPoint::start_warm() {
   const Program& g = program_;
   g.times_constraints(iterate_.x, iterate_.s);
   using Total = Totals<1, 0>;
-  const double complementarity = fold(g.packs, Parts{g.r, g.cone_count}, Total::none(), [&](int p, int k, Total& found) {
+  const Parts parts{g.r, g.cone_count};
+  const double complementarity = fold(g.packs, parts, Total::none(), [&](int p, int k, Total& found) {
     Entries s = at(iterate_.s, p), y = at(iterate_.y, p), b = at(g.b, p), computed = at(residuals_.y, p);
     if (k < g.r) {
       s[k] = computed[k] = b[k] - s[k];
@@ -94,7 +95,8 @@ JAXSCP_CALLED inline void InteriorPoint::start_warm() {
 
 // s and y with s y = mu and s - y = difference; the smaller one as mu over the larger, since the difference cancels.
 inline void InteriorPoint::split(Pack difference, double mu, Pack& s, Pack& y) {
-  const Pack large = 0.5 * (magnitude(difference) + root(difference * difference + 4.0 * mu)), small = mu * inverse(large);
+  const Pack large = 0.5 * (magnitude(difference) + root(difference * difference + 4.0 * mu));
+  const Pack small = mu * inverse(large);
   s = where(difference > 0.0, large, small), y = where(difference > 0.0, small, large);
 }
 
