@@ -1,15 +1,15 @@
 """Derivatives of the central path's conditions as one symmetric matrix of bounded entries, factored.
 
-On the path, s and y are functions of t = s - y with D = ds/dt (``smoothing``). With B = (I - D)^1/2 and dy = B v, the
-conditions P x + q + A'y = 0 and A x + s = b have the derivatives
+On the path, s and y are functions of t = s - y with D = ds/dt (``smoothing``). The conditions are P x + q + A'y = 0 and
+A x + s = b. With B = (I - D)^1/2 and dy = B v, their derivatives are
 
     [ P    A'B ] [dx]
     [ BA   -D  ] [v ].
 
-Its entries are bounded by the program's own at any mu; those of the interior point's KKT matrix (``kkt``) grow as
-1 / mu. A node needs no curvature of its own, because a small regularisation makes the matrix quasidefinite. All rows
-and the bounds of the norms are eliminated at once, and a block tridiagonal matrix in the nodes remains. Iterative
-refinement removes the effect of the regularisation.
+Its entries are bounded by the program's own at any mu. (Entries of the interior point's KKT matrix grow as 1 / mu.) A
+node needs no curvature of its own, because a small regularisation makes the matrix quasidefinite. All rows and the
+bounds of the norms are eliminated at once, and a block tridiagonal matrix in the nodes remains. Iterative refinement
+removes the effect of the regularisation.
 """
 
 import equinox as eqx

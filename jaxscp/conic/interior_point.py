@@ -2,11 +2,11 @@
 
 The method uses Nesterov-Todd scaling and Mehrotra's predictor and corrector. From a cold start it works in the
 homogeneous embedding, which adds two scalars tau and kappa (Goulart and Chen, "Clarabel: an interior-point solver for
-conic programs with quadratic objectives", 2024). At a solution of the embedding, either tau > 0 and x / tau solves the
-program, or kappa > 0 and the iterate proves that the program is infeasible or unbounded.
+conic programs with quadratic objectives", 2024). A solution of the embedding has one of two forms. If tau > 0, x / tau
+solves the program. If kappa > 0, the iterate proves that the program is infeasible or unbounded.
 
-A warm start assumes that a solution exists. From there the steps are those of the program itself, with tau = 1 and
-kappa = 0: fewer steps, each with one right-hand side less.
+A warm start assumes that a solution exists. From there the method works on the program itself, with tau = 1 and
+kappa = 0. That takes fewer steps, each with one right-hand side less.
 
 ``loop`` has the loop as JAX, ``native`` the same loop in C++ and CUDA.
 """
@@ -131,7 +131,7 @@ class InteriorPoint(Settings):
 def restored(
     program: StagedProgram, scales: Scales, x: Primal, y: ConeVector
 ) -> tuple[Float[Array, "nodes variables"], ConicMultipliers]:
-    """Node variables and multipliers in the user's units, from those of the equilibrated program."""
+    """Node variables and multipliers in the user's units, from a point of the equilibrated program."""
     user, _, _ = conic_form.unpack_cones(program, y.second)
     return scales.restore(
         x.z, ConicMultipliers(conic_form.link_multipliers(program, y), y.orthant, tuple(user))

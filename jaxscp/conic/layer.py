@@ -92,8 +92,8 @@ class ConicLayer(eqx.Module):
         """Solution of a program.
 
         Returns:
-            A ``LayerSolution``. If ``differentiable``, its ``z`` and ``multipliers`` are those of the central point,
-            exact to about ``mu``; they may differ from the interior point's by the solver's tolerance. A central point
+            A ``LayerSolution``. If ``differentiable``, its ``z`` and ``multipliers`` are the central point's, exact to
+            about ``mu``; they may differ from the interior point's by the solver's tolerance. A central point
             has status ``converged``, even if the interior point ended early. Other statuses are the interior point's.
         """
         program = _with_symmetric_hessian(program)

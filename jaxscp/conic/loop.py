@@ -142,8 +142,8 @@ def run_loop(
 ) -> LoopResult:
     """Result of the loop on a program in the user's units, which is equilibrated first.
 
-    From a warm start the steps are those of the program itself. If they do not decide, the loop starts again, cold
-    and in the homogeneous embedding.
+    From a warm start the loop works on the program itself. If that does not decide, the loop starts again, cold and in
+    the homogeneous embedding.
     """
     program, scales = equilibrate(program, settings.equilibration)
     loop = Loop(program, scales, tolerance, settings)

@@ -5,7 +5,7 @@ point independently, and solves wherever a plain quadratic program is preferred.
 
 OSQP is fast with a quadratic cost and slow with a linear one, as in the paper's mode. It proves infeasibility best with
 its own scaling, which slows everything else. So there are up to three attempts, cheapest first, until one decides. The
-last attempt is the proximal-point method: each round adds curvature about the previous result, and so is fast again.
+last attempt is the proximal-point method: each round adds curvature about the previous result, which is fast again.
 """
 
 from __future__ import annotations

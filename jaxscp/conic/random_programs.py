@@ -53,9 +53,9 @@ def random_program(
         rows: half-spaces of a node, at least two.
         cones: second-order cones of dimension 3 of a node.
         norm: whether the cost is linear with a trust-region norm; quadratic otherwise.
-        kind: ``feasible`` (a point is inside every constraint, and the cost is bounded), ``infeasible`` (two
-            half-spaces of the second node contradict each other) or ``unbounded`` (only the cost depends on the first
-            variable of the second node).
+        kind: ``feasible``, ``infeasible`` or ``unbounded``. Feasible: a point is inside every constraint, and the cost
+            is bounded. Infeasible: two half-spaces of the second node contradict each other. Unbounded: only the cost
+            depends on the first variable of the second node.
 
     Example:
         >>> from jaxscp.conic.random_programs import random_program

@@ -47,7 +47,7 @@ def residuals_at(program: StagedProgram, scales: Scales, p: Iterate) -> Residual
 def with_measures(
     program: StagedProgram, scales: Scales, p: Iterate, rx: Primal, ry: ConeVector
 ) -> Residuals:
-    """Residuals rx = P x + A'y + tau q and ry = A x + s - tau b with the measures that follow from them."""
+    """Residuals rx = P x + A'y + tau q and ry = A x + s - tau b, with their measures."""
     q, b = conic_form.linear_cost(program), conic_form.constraint_offset(program)
     hessian_x = conic_form.times_hessian(program, p.x)
     dual = jax.tree.map(lambda r, a, d: r - a - p.tau * d, rx, hessian_x, q)

@@ -5,8 +5,8 @@ A slack s and a multiplier y with s o y = mu e are determined by their differenc
     s = (t + sqrt(t^2 + 4 mu)) / 2,    y = s - t = mu / s.
 
 On a second-order cone, the same formula holds for the two spectral values of t: t_0 + |t_1| and t_0 - |t_1|. At mu = 0
-s is the projection of t onto the cone. Its derivative D = ds/dt is symmetric with eigenvalues between zero and one, and
-W^2 = D (I - D)^-1 is the square of the pair's Nesterov-Todd scaling. On the central path, and only there,
+s is the projection of t onto the cone. Its derivative D = ds/dt is symmetric with eigenvalues between zero and one. The
+square of the pair's Nesterov-Todd scaling is W^2 = D (I - D)^-1. On the central path, and only there,
 ds = -W^2 dy (Fukushima, Luo and Tseng, "Smoothing functions for second-order-cone complementarity problems", 2002).
 """
 

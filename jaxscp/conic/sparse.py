@@ -1,8 +1,8 @@
 """Sparse matrices of a staged program in CLARABEL's convention: min 1/2 x'Px + q'x, A x + s = b, s in K.
 
-Variables x are z of all nodes, then the bounds xi of the trust-region norms, then the cost W zeta of virtual control
-for each link with soft rows. Rows of A are the hard rows of the links (zero cone), the half-spaces (nonnegative
-orthant) and the second-order cones, each in its own block.
+Variables x are z of all nodes, then the bounds xi of the trust-region norms. The cost W zeta of virtual control
+follows, for each link with soft rows. Rows of A are hard rows of the links (zero cone), half-spaces (nonnegative
+orthant) and second-order cones, each in its own block.
 
 Rows of a link are multiplied by its penalty weight W, so that a residual of one costs one. General solvers stop on
 residuals. With W = 1000, residuals of 1e-8 on thirty links change the optimal value by 3e-4. CLARABEL then stalls, or

@@ -5,8 +5,9 @@ be far from centred. Instead, the pair with s o y = mu e and the same difference
 pair differs from the estimate by about sqrt(mu) at most. A larger complementarity of the estimate gives a larger mu.
 
 If the soft rows do not hold at z, virtual control could close them, but at a cost that the steps would have to remove.
-So virtual control starts at its value only if its multiplier is at its bound, the penalty weight, as at a solution that
-uses virtual control. Otherwise it starts at zero, and the soft rows have a residual, which a full step removes.
+So virtual control starts at its value only if its multiplier is at its bound, the penalty weight. At a solution that
+uses virtual control, the multiplier is at this bound. Otherwise virtual control starts at zero, and the soft rows have
+a residual, which a full step removes.
 
 The trust region's bounds are relaxed further than the central path does at a point that has not moved yet. Without
 the relaxation, these bounds alone would limit the first steps.
