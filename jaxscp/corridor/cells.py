@@ -11,7 +11,8 @@ from jaxtyping import Array, Bool, Float, Int, ScalarLike
 from jaxscp.corridor.clouds import PointCloud
 from jaxscp.corridor.decompose import Cell, Decomposition, Seed, seed_of
 from jaxscp.corridor.overlaps import Ball, deepest_ball, intersect
-from jaxscp.corridor.polytopes import Corridor, Polytope
+from jaxscp.corridor.polytope import Polytope
+from jaxscp.corridor.polytopes import Corridor
 from jaxscp.types import Vector3
 
 _LEGS_A_CALL = 4

@@ -1,15 +1,32 @@
 """A point cloud: positions in metres, and what was done to them on the way here."""
 
 import warnings
+from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
-from jaxscp.corridor.polytopes import Polytope
+from jaxscp.corridor.extent import main_box
+from jaxscp.corridor.polytope import Polytope
 
 _SUSPICIOUS_EXTENT = 10_000.0
+
+
+class Provenance(NamedTuple):
+    """The file that a cloud was read from, and the facts about it that were stated."""
+
+    file: str
+    """Path of the file."""
+    unit: str | None = None
+    """The unit that the file or the caller stated; None where metres were assumed."""
+    frame: str | None = None
+    """The frame that the file or the caller stated; None where z up was assumed."""
+    notes: tuple[str, ...] = ()
+    """Assumptions made while reading."""
+    doubts: tuple[str, ...] = ()
+    """Questions that the file leaves open."""
 
 
 class PointCloud(eqx.Module):
@@ -31,6 +48,8 @@ class PointCloud(eqx.Module):
     """How far an original point can be from the one that stands for it, metres."""
     dropped: int = 0
     """How many points were left out because a coordinate was not finite."""
+    provenance: Provenance | None = eqx.field(static=True, default=None)
+    """The file that the points came from; None for an array, which is in metres, z up."""
 
     @staticmethod
     def of(points: ArrayLike, source: str = "the cloud") -> "PointCloud":
@@ -86,7 +105,7 @@ class PointCloud(eqx.Module):
         lower = np.minimum.reduceat(ordered, first)
         upper = np.maximum.reduceat(ordered, first)
         spread = 0.5 * float(np.linalg.norm(upper - lower, axis=1).max())
-        return PointCloud(0.5 * (lower + upper), self.spread + spread, self.dropped)
+        return PointCloud(0.5 * (lower + upper), self.spread + spread, self.dropped, self.provenance)
 
     def inside(self, region: Polytope, margin: float = 0.0) -> Bool[np.ndarray, "points"]:
         """Which points lie in a polytope grown by a margin in metres."""
@@ -107,7 +126,11 @@ class PointCloud(eqx.Module):
             >>> PointCloud.of([[0.0, 0.0, 0.1], [3.0, 0.0, 0.0]]).without(deck).count
             1
         """
-        return PointCloud(self.points[~self.inside(region)], self.spread, self.dropped)
+        return self.chosen(~self.inside(region))
+
+    def chosen(self, rows: Bool[np.ndarray, "points"]) -> "PointCloud":
+        """The points that a mask chooses."""
+        return PointCloud(self.points[rows], self.spread, self.dropped, self.provenance)
 
 
 def _by_voxel(points: Float[np.ndarray, "points 3"], voxel: float) -> tuple[np.ndarray, np.ndarray]:
@@ -128,10 +151,11 @@ def _by_voxel(points: Float[np.ndarray, "points 3"], voxel: float) -> tuple[np.n
 def _warn_of_units(points: np.ndarray, source: str) -> None:
     if points.shape[0] == 0:
         return
-    extent = float(np.ptp(points, axis=0).max())
+    box = main_box(points)
+    extent = float((box.upper - box.lower).max())
     if extent > _SUSPICIOUS_EXTENT:
         warnings.warn(
             f"{source}: the points span {extent:.0f} m. Are they in millimetres, or is there an outlier? "
-            "Positions must be in metres.",
+            "Positions must be in metres; of a file, state the unit: unit='mm'.",
             stacklevel=3,
         )
