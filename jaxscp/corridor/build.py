@@ -15,6 +15,7 @@ from jaxscp.corridor.cells import cells_along
 from jaxscp.corridor.clouds import PointCloud
 from jaxscp.corridor.decks import Deck, obstacles_of_leg, split_decks
 from jaxscp.corridor.decompose import Cell, Decomposition, InflationFIRI
+from jaxscp.corridor.gaps import with_closed_gaps
 from jaxscp.corridor.limits import Limits, flyable
 from jaxscp.corridor.map_report import MapError, MapReport, map_report
 from jaxscp.corridor.padding import pad as pad
@@ -23,7 +24,6 @@ from jaxscp.corridor.polytopes import Corridor
 from jaxscp.corridor.pruning import Segments, chosen, packed, without_redundant
 from jaxscp.corridor.route import NoRoute, Route, find_route
 from jaxscp.corridor.search_space import nearest_on_segment
-from jaxscp.corridor.spacing import with_closed_gaps
 
 _HALVINGS = 3
 

@@ -3,12 +3,13 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 _FEWEST = 40
 _FRACTION = 200
 _MOST = 1000
 _LEAST_GAP = 5.0
+_SAMPLE = 20_000
 
 
 class Box(NamedTuple):
@@ -20,6 +21,34 @@ class Box(NamedTuple):
     """Upper corner, metres."""
     strays: int
     """Points outside the box."""
+
+
+def corners(points: Float[np.ndarray, "points 3"]) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Lower and upper corner of some points, NaN along an axis that holds one.
+
+    Column by column, which NumPy does ten times faster than along the first axis.
+
+    Example:
+        >>> corners(np.array([[0.0, 5.0, 1.0], [2.0, 3.0, 1.0]]))[1].tolist()
+        [2.0, 5.0, 1.0]
+    """
+    columns = points.T
+    return np.array([column.min() for column in columns]), np.array([column.max() for column in columns])
+
+
+def within(
+    points: Float[np.ndarray, "points 3"], lower: Float[np.ndarray, "3"], upper: Float[np.ndarray, "3"]
+) -> Bool[np.ndarray, "points"]:
+    """Which points lie in a box, borders included.
+
+    Example:
+        >>> within(np.array([[0.5, 0.5, 1.0], [2.0, 0.0, 0.0]]), np.zeros(3), np.ones(3)).tolist()
+        [True, False]
+    """
+    inside = np.ones(len(points), bool)
+    for column, low, high in zip(points.T, lower, upper, strict=True):
+        inside &= (column >= low) & (column <= high)
+    return inside
 
 
 def main_box(points: Float[np.ndarray, "points 3"]) -> Box:
@@ -37,19 +66,22 @@ def main_box(points: Float[np.ndarray, "points 3"]) -> Box:
         >>> box.strays, bool(box.upper.max() < 8)
         (1, True)
     """
-    low, high = points.min(axis=0), points.max(axis=0)
+    low, high = corners(points)
     most = min(len(points) // _FRACTION if len(points) >= _FRACTION else len(points) // _FEWEST, _MOST)
     if most < 1:
         return Box(low, high, 0)
+    strays = False
     for axis in range(3):
-        column = np.partition(points[:, axis], (most, len(points) - 1 - most))
-        first, last = np.sort(column[: most + 1]), np.sort(column[len(points) - 1 - most :])
+        column = points[:, axis]
+        sample = column[:: max(1, len(column) // _SAMPLE)]
+        if np.all(np.abs(np.quantile(sample, (0.01, 0.99)) - [low[axis], high[axis]]) <= _LEAST_GAP):
+            continue  # the ends are too near to the bulk for a gap
+        column = np.partition(column, (most, len(column) - 1 - most))
+        first, last = np.sort(column[: most + 1]), np.sort(column[len(column) - 1 - most :])
         wide = max(_LEAST_GAP, last[0] - first[-1])
         below = np.flatnonzero(np.diff(first) > wide)
         above = np.flatnonzero(np.diff(last) > wide)
+        strays |= bool(len(below) or len(above))
         low[axis] = first[below[-1] + 1] if len(below) else first[0]
         high[axis] = last[above[0]] if len(above) else last[-1]
-    strays = 0
-    if np.any(low > points.min(axis=0)) or np.any(high < points.max(axis=0)):
-        strays = int(np.count_nonzero(~np.all((points >= low) & (points <= high), axis=1)))
-    return Box(low, high, strays)
+    return Box(low, high, int(np.count_nonzero(~within(points, low, high))) if strays else 0)

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from jaxscp.corridor.clouds import PointCloud
-from jaxscp.corridor.extent import main_box
+from jaxscp.corridor.extent import main_box, within
 from jaxscp.corridor.limits import Point
 from jaxscp.corridor.spacing import typical_spacing
 
@@ -189,11 +189,8 @@ def _findings(facts: MapReport, cloud: PointCloud, flight: Flight) -> Iterator[t
             "frame='ned', 'frd' or 'enu' (--frame)",
         )
     if flight.lower is not None and flight.upper is not None:
-        within = np.all(
-            (cloud.points >= flight.lower - flight.radius) & (cloud.points <= flight.upper + flight.radius),
-            axis=1,
-        )
-        if not within.any():
+        low, high = flight.lower - flight.radius, flight.upper + flight.radius
+        if not within(cloud.points, low, high).any():
             yield (
                 origin is not None,
                 f"none of its {facts.points} points lies within the limits {_place(flight.lower)} to "

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxscp.corridor.clouds import PointCloud
+from jaxscp.corridor.extent import within
 from jaxscp.corridor.polytope import Polytope
 from jaxscp.corridor.polytopes import Corridor
 from jaxscp.corridor.shapes import vertices
@@ -112,4 +113,4 @@ def _in_box(cells: list[Polytope], cloud: PointCloud, margin: float) -> Bool[np.
         return np.ones(cloud.count, bool)
     found = np.concatenate(corners)
     low, high = found.min(axis=0) - margin, found.max(axis=0) + margin
-    return np.all((cloud.points >= low) & (cloud.points <= high), axis=1)
+    return within(cloud.points, low, high)

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from jaxscp.corridor.arrays_on_file import read_npy
 from jaxscp.corridor.clouds import PointCloud, Provenance
 from jaxscp.corridor.conventions import metres, to_z_up
+from jaxscp.corridor.extent import corners
 from jaxscp.corridor.file_content import CloudFileError, FileContent, FileLayout, Request
 from jaxscp.corridor.meshes import read_mesh
 from jaxscp.corridor.pcd import read_pcd
@@ -142,11 +143,15 @@ def _usable(
     """
     stored, count = content.points, content.points.shape[0]
     points = np.asarray(stored, float) * scale if scale != 1.0 else np.asarray(stored, float)
-    with np.errstate(invalid="ignore"):
-        absurd = np.flatnonzero(np.any(np.abs(points) > _ABSURD, axis=1) & np.isfinite(points).all(axis=1))
-    if len(absurd):
+    absurd = np.empty(0, int)
+    finite = np.ones(len(points), bool)
+    if count and not np.all(np.abs(corners(points)) <= _ABSURD):
+        with np.errstate(invalid="ignore"):
+            absurd = np.flatnonzero(
+                np.any(np.abs(points) > _ABSURD, axis=1) & np.isfinite(points).all(axis=1)
+            )
         points = np.delete(points, absurd, axis=0)
-    finite = np.isfinite(points).all(axis=1)
+        finite = np.isfinite(points).all(axis=1)
     if count and not finite.any():
         why = "absurdly far" if len(absurd) == count else "not finite"
         raise CloudFileError(
@@ -155,16 +160,14 @@ def _usable(
     if len(absurd):
         message = f"{path}: dropped {len(absurd)} of {count} points, beyond {_ABSURD:g} m"
         warnings.warn(message, stacklevel=3)
-    return points, len(absurd), _rounding(path, points[finite], stored.dtype, scale)
+    return points, len(absurd), _rounding(path, points, stored.dtype, scale)
 
 
 def _rounding(path: Path, points: np.ndarray, stored: np.dtype, scale: float) -> float:
     """Error in metres that the stored precision allows; zero below a millimetre."""
     if not np.issubdtype(stored, np.floating) or stored.itemsize >= 8:
         return 0.0
-    if not len(points):
-        return 0.0
-    farthest = np.abs(points).max(axis=0) / scale
+    farthest = np.array([np.nanmax(np.abs(c), initial=0.0) for c in points.T]) / scale
     steps = np.array([float(np.spacing(value)) for value in farthest.astype(stored)]) * scale
     error = 0.5 * float(np.linalg.norm(steps))
     if error > _COARSE:

@@ -172,5 +172,5 @@ def _furthest(here: int, last: int, may_skip: Callable[[int, int], bool]) -> int
 
 
 def _measured(points: Waypoints, space: Space, spread: float, cell: float) -> Route:
-    distances = [segment_distance(space.points, a, b) - spread for a, b in pairwise(points)]
+    distances = [space.to_segment(a, b) - spread for a, b in pairwise(points)]
     return Route(points, np.array(distances), cell)

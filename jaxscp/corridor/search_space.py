@@ -7,6 +7,7 @@ from jaxtyping import Float
 
 from jaxscp.corridor.clouds import PointCloud
 from jaxscp.corridor.decks import Deck
+from jaxscp.corridor.extent import within
 from jaxscp.corridor.limits import Limits, Point
 
 Places = Float[np.ndarray, "*batch 3"]
@@ -45,6 +46,15 @@ class Space(eqx.Module):
         """Distance from a segment to points and limits, capped at the roomy distance, metres."""
         return self._along(self.points, start, end)
 
+    def to_segment(self, start: Point, end: Point) -> float:
+        """Distance from a segment to the nearest obstacle point, metres; inf where there is none."""
+        reach = float(self.to_points(0.5 * (start + end)))
+        if not np.isfinite(reach):
+            return reach
+        # No farther than from its middle.
+        low, high = np.minimum(start, end) - reach, np.maximum(start, end) + reach
+        return segment_distance(self.points[within(self.points, low, high)], start, end)
+
     def _along(self, points: Float[np.ndarray, "points 3"], start: Point, end: Point) -> float:
         low, high = np.minimum(start, end) - self.roomy, np.maximum(start, end) + self.roomy
         near = np.flatnonzero((points[:, 0] >= low[0]) & (points[:, 0] <= high[0]))
@@ -81,7 +91,7 @@ def search_space(
     """Space of a search within limits; points that are too far outside are left out."""
     keep = radius + cloud.spread
     reach = keep + clearance
-    near = np.all((cloud.points > limits.lower - reach) & (cloud.points < limits.upper + reach), axis=1)
+    near = within(cloud.points, limits.lower - reach, limits.upper + reach)
     points = cloud.points[near]
     tree = scipy.spatial.KDTree(points) if points.size else None
     left = (None if deck is None else deck.chosen(near) for deck in decks)
