@@ -9,12 +9,12 @@ import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import ArrayLike
 
 from jaxscp.corridor.cells import cells_along
 from jaxscp.corridor.clouds import PointCloud
 from jaxscp.corridor.decks import Deck, obstacles_of_leg, split_decks
 from jaxscp.corridor.decompose import Cell, Decomposition, InflationFIRI
+from jaxscp.corridor.extent import Triple
 from jaxscp.corridor.gaps import with_closed_gaps
 from jaxscp.corridor.limits import Limits, flyable
 from jaxscp.corridor.map_report import MapError, MapReport, map_report
@@ -73,9 +73,9 @@ class CorridorOptions(eqx.Module):
     """How to make a polytope: this, or ``EllipsoidDecomposition()``."""
     clearance: float = 0.1
     """Radius of the ball that consecutive overlaps must hold, metres."""
-    lower: ArrayLike | None = None
+    lower: Triple | None = None
     """Lower corner of the volume for the vehicle's centre, (3,), metres; None: that of the map."""
-    upper: ArrayLike | None = None
+    upper: Triple | None = None
     """Upper corner of that volume, (3,), metres; None: that of the map."""
     remove: Sequence[Polytope] = ()
     """Regions whose points are no obstacles. One that holds start or goal is its deck."""
@@ -109,7 +109,7 @@ class CorridorOptions(eqx.Module):
 
 
 def build_corridor(
-    cloud: PointCloud, start: ArrayLike, goal: ArrayLike, radius: float, **options: Any
+    cloud: PointCloud, start: Triple, goal: Triple, radius: float, **options: Any
 ) -> CorridorResult:
     """Safe flight corridor from start to goal through a point cloud.
 
@@ -198,7 +198,7 @@ def _prepared(
     return *split_decks(cloud, options.remove, ends, radius, options.voxel), gap
 
 
-def _point(name: str, value: ArrayLike) -> Float[np.ndarray, "3"]:
+def _point(name: str, value: Triple) -> Float[np.ndarray, "3"]:
     point = np.asarray(value, float)
     if point.shape != (3,):
         raise ValueError(f"{name} must be three coordinates in metres, got shape {point.shape}")

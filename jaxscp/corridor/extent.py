@@ -4,12 +4,17 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
+from numpy.typing import ArrayLike
 
 _FEWEST = 40
 _FRACTION = 200
 _MOST = 1000
 _LEAST_GAP = 5.0
 _SAMPLE = 20_000
+
+
+Triple = ArrayLike | tuple[float, float, float]
+"""Three coordinates as people write them."""
 
 
 class Box(NamedTuple):

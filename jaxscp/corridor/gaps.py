@@ -31,8 +31,8 @@ _STEP = 0.5
 _MOST = 5_000_000
 _MOST_SPARSE = 100_000
 
-Points = Float[np.ndarray, "points 3"]
-Pairs = Int[np.ndarray, "pairs 2"]
+Points = Float[np.ndarray, "_ 3"]
+Pairs = Int[np.ndarray, "_ 2"]
 
 _DIRECTIONS = np.array([d for d in np.ndindex(3, 3, 3) if d != (1, 1, 1)], float) - 1.0
 _DIRECTIONS /= np.linalg.norm(_DIRECTIONS, axis=1, keepdims=True)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from jaxscp.corridor.clouds import PointCloud
+from jaxscp.corridor.extent import Triple
 from jaxscp.corridor.map_report import MapReport
 
 if TYPE_CHECKING:
@@ -23,8 +23,8 @@ def draw_map(
     cloud: PointCloud,
     report: MapReport,
     *,
-    start: ArrayLike | None = None,
-    goal: ArrayLike | None = None,
+    start: Triple | None = None,
+    goal: Triple | None = None,
     radius: float | None = None,
 ) -> Figure:
     """Picture of a map from above and from the side, to scale, with the report beneath.

@@ -6,10 +6,9 @@ from dataclasses import replace
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import ArrayLike
 
 from jaxscp.corridor.clouds import PointCloud
-from jaxscp.corridor.extent import main_box, within
+from jaxscp.corridor.extent import Triple, main_box, within
 from jaxscp.corridor.limits import Point
 from jaxscp.corridor.spacing import typical_spacing
 
@@ -110,12 +109,12 @@ class MapReport(eqx.Module):
 
 def map_report(
     cloud: PointCloud,
-    start: ArrayLike | None = None,
-    goal: ArrayLike | None = None,
+    start: Triple | None = None,
+    goal: Triple | None = None,
     radius: float = 0.25,
     *,
-    lower: ArrayLike | None = None,
-    upper: ArrayLike | None = None,
+    lower: Triple | None = None,
+    upper: Triple | None = None,
 ) -> MapReport:
     """Judge a map for a flight: units, spacing, place and frame.
 

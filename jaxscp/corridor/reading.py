@@ -10,12 +10,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import ArrayLike
 
 from jaxscp.corridor.arrays_on_file import read_npy
 from jaxscp.corridor.clouds import PointCloud, Provenance
 from jaxscp.corridor.conventions import metres, to_z_up
-from jaxscp.corridor.extent import corners
+from jaxscp.corridor.extent import Triple, corners
 from jaxscp.corridor.file_content import CloudFileError, FileContent, FileLayout, Request
 from jaxscp.corridor.meshes import read_mesh
 from jaxscp.corridor.pcd import read_pcd
@@ -58,7 +57,7 @@ def read_cloud(
     spacing: float = 0.1,
     seed: int = 0,
     unit: str | None = None,
-    offset: ArrayLike | None = None,
+    offset: Triple | None = None,
     frame: str | None = None,
     layout: FileLayout | None = None,
 ) -> PointCloud:
@@ -206,7 +205,7 @@ def _in_frame(
     return points @ to_z_up(known).T, notes, known
 
 
-def _offset(offset: ArrayLike) -> np.ndarray:
+def _offset(offset: Triple) -> np.ndarray:
     value = np.asarray(offset, float)
     if value.shape != (3,) or not np.isfinite(value).all():
         raise ValueError(f"offset must be three finite coordinates in metres, got {offset!r}")
