@@ -1,4 +1,18 @@
-"""The front door: a cloud and two places in, a corridor out, or the reason why there is none."""
+"""The front door: a cloud and two places in, a corridor out, or the reason why there is none.
+
+The map is judged first. Then the cloud is thinned, a route searched and shortened, and one polytope made about
+each leg. Polytopes are left out whose neighbours overlap about as widely without them. Where the method's planes
+do not suffice, a polytope is made in a smaller box.
+
+No polytope comes nearer than ``radius`` to a point of the cloud as it was given. Between legs the route keeps
+``radius + clearance``, and every polytope holds a capsule of radius ``clearance`` about such a leg. So
+consecutive ones overlap in a ball of that radius. Legs that end at a tight start or goal can have less, which
+the status tells.
+
+Nobody saw whether space outside the map is free, so its box bounds the corridor, and its lowest point is the
+floor. State ``lower`` and ``upper`` to fly outside. A region of ``remove`` that holds start or goal is its deck:
+points of it count as obstacles for all legs but the one from there, which does not go behind the deck.
+"""
 
 import warnings
 from collections.abc import Sequence
@@ -74,9 +88,9 @@ class CorridorOptions(eqx.Module):
     clearance: float = 0.1
     """Radius of the ball that consecutive overlaps must hold, metres."""
     lower: Triple | None = None
-    """Lower corner of the volume for the vehicle's centre, (3,), metres; None: that of the map."""
+    """Lower corner of the volume for the vehicle's centre, (3,), metres; None: the map's."""
     upper: Triple | None = None
-    """Upper corner of that volume, (3,), metres; None: that of the map."""
+    """Upper corner of that volume, (3,), metres; None: the map's."""
     remove: Sequence[Polytope] = ()
     """Regions whose points are no obstacles. One that holds start or goal is its deck."""
     voxel: float | None = 0.1
@@ -113,18 +127,8 @@ def build_corridor(
 ) -> CorridorResult:
     """Safe flight corridor from start to goal through a point cloud.
 
-    The map is judged first. Then the cloud is thinned, a route searched and shortened, and one polytope made about
-    each leg. Polytopes are left out whose neighbours overlap about as widely without them. Where the method's planes
-    do not suffice, a polytope is made in a smaller box.
-
-    No polytope comes nearer than ``radius`` to a point of the cloud as it was given. Between legs the route keeps
-    ``radius + clearance``, and every polytope holds a capsule of radius ``clearance`` about such a leg. So
-    consecutive ones overlap in a ball of that radius. Legs that end at a tight start or goal can have less, which
-    the status tells.
-
-    Nobody saw whether space outside the map is free, so its box bounds the corridor, and its lowest point is the
-    floor. State ``lower`` and ``upper`` to fly outside. A region of ``remove`` that holds start or goal is its deck:
-    points of it count as obstacles for all legs but the one from there, which does not go behind the deck.
+    No polytope comes nearer than ``radius`` to a point of the cloud as it was given. The docstring of
+    ``jaxscp.corridor.build`` explains the steps, the limits and the decks.
 
     Args:
         cloud: obstacles; an empty one is free space.
@@ -136,8 +140,8 @@ def build_corridor(
 
     Raises:
         MapError: the map contradicts its unit, its frame, or the place of the flight; a ``ValueError``.
-        ValueError: start or goal is nearer to an obstacle than the radius (the message says how near), is
-            outside the limits, or more polytopes or faces are needed than ``polytopes`` or ``faces``.
+        ValueError: start or goal is outside the limits or nearer to an obstacle than the radius. The message says
+            how near. Or more polytopes or faces are needed than ``polytopes`` or ``faces``.
         ImportError: scikit-image, of the extra ``clouds``, is not installed.
 
     Example:
@@ -151,38 +155,36 @@ def build_corridor(
     """
     settings = CorridorOptions(**options)
     first, last = _point("start", start), _point("goal", goal)
-    report = map_report(cloud, first, last, radius, lower=settings.lower, upper=settings.upper)
-    if report.refused:
-        raise MapError(f"{report.source}: {'; '.join(report.refused)}")
-    for warning in report.warnings:
-        warnings.warn(f"{report.source}: {warning}", stacklevel=2)
+    report = _accepted(map_report(cloud, first, last, radius, lower=settings.lower, upper=settings.upper))
     limits = settings.limits(cloud, first, last, radius)
-    thinned, decks, longest_gap = _prepared(settings, cloud, (first, last), radius)
+    thinned, decks, gap = _prepared(settings, cloud, (first, last), radius)
     lower, upper = (None, None) if limits is None else limits
-    clearance = settings.clearance
-    route = find_route(
-        thinned,
-        first,
-        last,
-        radius,
-        clearance=clearance,
-        lower=lower,
-        upper=upper,
-        cell=settings.cell,
-        decks=decks,
-    )
+    searched = {"clearance": settings.clearance, "lower": lower, "upper": upper, "cell": settings.cell}
+    route = find_route(thinned, first, last, radius, **searched, decks=decks)
     if isinstance(route, NoRoute):
         nothing = np.empty((0, 2, 3)), np.empty(0)
         reason = f"no route: {route.reason}"
-        return CorridorResult(None, route, CorridorStatus.no_route, reason, *nothing, report, longest_gap)
+        return CorridorResult(None, route, CorridorStatus.no_route, reason, *nothing, report, gap)
     seeds = legs(route.points, settings.longest)
     cells = _cells(settings, seeds, thinned, decks, radius, limits)
-    kept, balls = without_redundant(cells.polytope, clearance)
-    seeds = seeds[kept]
-    corridor = packed(chosen(cells.polytope, kept), seeds, balls[:, :3])
-    status, message = _verdict(cells.left, balls[:, 3], clearance, corridor.count)
+    rows, balls = without_redundant(cells.polytope, settings.clearance)
+    corridor = packed(chosen(cells.polytope, rows), seeds[rows], balls[:, :3])
+    status, message = _verdict(cells.left, balls[:, 3], settings.clearance, corridor.count)
     padded = pad(corridor, last, settings.polytopes, settings.faces)
-    return CorridorResult(padded, route, status, message, seeds, balls[:, 3], report, longest_gap)
+    return CorridorResult(padded, route, status, message, seeds[rows], balls[:, 3], report, gap)
+
+
+def _accepted(report: MapReport) -> MapReport:
+    """The report of a map, with its warnings given.
+
+    Raises:
+        MapError: the map is refused.
+    """
+    if report.refused:
+        raise MapError(f"{report.source}: {'; '.join(report.refused)}")
+    for warning in report.warnings:
+        warnings.warn(f"{report.source}: {warning}", stacklevel=3)
+    return report
 
 
 def _prepared(

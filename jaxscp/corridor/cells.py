@@ -39,8 +39,7 @@ def chain(
     present: Bool[Array, "points"],
     radius: ScalarLike,
     clearance: ScalarLike = 0.1,
-    lower: Vector3 | None = None,
-    upper: Vector3 | None = None,
+    limits: tuple[Vector3, Vector3] | None = None,
 ) -> Chain:
     """Corridor about a known route: pure, so ``jit`` compiles it and ``vmap`` runs it over many maps at once.
 
@@ -51,8 +50,7 @@ def chain(
         present: (points,) False where a row only pads.
         radius: safety radius, with the spread of a thinned cloud added, metres.
         clearance: radius to leave free around every leg where the points allow it, metres.
-        lower: (3,) lower corner of the volume the vehicle's centre may use, metres; None: no limit.
-        upper: (3,) its upper corner, metres; None: no limit.
+        limits: lower and upper corner of the volume the vehicle's centre may use, (3,) each, metres; None: no limit.
 
     Example:
         >>> import jax, jax.numpy as jnp
@@ -66,6 +64,7 @@ def chain(
         ((2, 2, 36, 3), True)
     """
     segments = jnp.stack([waypoints[:-1], waypoints[1:]], axis=1)
+    lower, upper = (None, None) if limits is None else limits
     cells = jax.vmap(lambda segment: method(segment, points, present, radius, clearance, lower, upper))(
         segments
     )
@@ -82,24 +81,24 @@ def consecutive_overlaps(polytopes: Polytope, skip: int = 1) -> Ball:
 
 
 @jax.jit
-def _cells_one_by_one(method, segments, columns, present, radius, clearance, lower, upper) -> Cell:
-    """A loop over segments: on a CPU faster than doing them abreast, for each ends when its own points do."""
+def _cells_one_by_one(method, legs, keep) -> Cell:
+    """A loop over segments. On a CPU it is faster than all at once: each ends when its own points do."""
 
     def one(leg):
         segment, columns, present = leg
-        return method(segment, columns.T, present, radius, clearance, lower, upper)
+        return method(segment, columns.T, present, *keep)
 
-    return jax.lax.map(one, (segments, columns, present))
+    return jax.lax.map(one, legs)
 
 
 @jax.jit
-def _cells_abreast(method, segments, columns, present, radius, clearance, lower, upper) -> Cell:
-    """All segments at once: what a GPU wants."""
+def _cells_at_once(method, legs, keep) -> Cell:
+    """All segments at once, as a GPU is fastest."""
 
     def one(segment, columns, present):
-        return method(segment, columns.T, present, radius, clearance, lower, upper)
+        return method(segment, columns.T, present, *keep)
 
-    return jax.vmap(one)(segments, columns, present)
+    return jax.vmap(one)(*legs)
 
 
 @jax.jit
@@ -119,8 +118,8 @@ def cells_along(
 ) -> Cell:
     """One cell a segment, from the host: each is given only the points near it.
 
-    Points are cut to each segment's box and padded to a power of two, and segments are run a few at a time,
-    so that few shapes are ever compiled. The cells come back as NumPy arrays along a leading axis.
+    Points are cut to each segment's box and padded to a power of two. Segments are run a few at a time, so that few
+    shapes are ever compiled. The cells come back as NumPy arrays along a leading axis.
 
     Args:
         method: how to make a polytope.
@@ -140,7 +139,7 @@ def cells_along(
     near = [_near(columns, *box, method.reach + keep) for box in islice(boxes, len(segments))]
     # Segments with like numbers of points go together, so that little is padded.
     order = np.argsort([points.shape[1] for points in near], kind="stable")
-    run = _cells_one_by_one if jax.default_backend() == "cpu" else _cells_abreast
+    run = _cells_one_by_one if jax.default_backend() == "cpu" else _cells_at_once
     low = np.full(3, -np.inf) if lower is None else np.asarray(lower, float)
     high = np.full(3, np.inf) if upper is None else np.asarray(upper, float)
     calls = []
@@ -155,7 +154,7 @@ def cells_along(
             ends[row] = segments[index]
             points[row, :, :count] = near[index]
             present[row, :count] = True
-        calls.append(run(method, ends, points, present, keep, clearance, low, high))
+        calls.append(run(method, (ends, points, present), (keep, clearance, low, high)))
     back = np.argsort(order)
     return jax.tree.map(lambda *rows: np.concatenate(rows)[back], *jax.device_get(calls))
 

@@ -1,4 +1,4 @@
-"""A point cloud: positions in metres, and what was done to them on the way here."""
+"""A point cloud: positions in metres, and a record of points dropped and thinned."""
 
 import warnings
 from typing import NamedTuple

@@ -1,7 +1,7 @@
 """Decks: points that start or goal stands on, which are obstacles for every leg but the one from there.
 
-A deck frees no space behind it. On the leg from a deck the vehicle's centre never comes nearer to its points than at
-the end itself, nor beyond the end towards the deck.
+A deck frees no space behind it. On the leg from a deck, the vehicle's centre never comes nearer to its points
+than at the end itself. It never goes beyond the end towards the deck.
 """
 
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ class Deck(eqx.Module):
     freed: Bool[np.ndarray, "points"]
     """Points that do not count as obstacles on that leg."""
     support: Bool[np.ndarray, "points"]
-    """Those of them on the deck's side, which the leg keeps ``keep`` from."""
+    """Freed points on the deck's side, from which the leg keeps the distance ``keep``."""
     keep: float
     """Distance of the end from its deck, metres."""
     axis: int
@@ -84,14 +84,8 @@ def split_decks(
 ) -> tuple[PointCloud, tuple[Deck | None, Deck | None]]:
     """The thinned cloud, and the decks of start and goal in it.
 
-    Points in a region that holds neither end are removed. A region that holds an end is its deck.
-
-    Args:
-        cloud: obstacles.
-        regions: regions whose points are no obstacles, or decks.
-        ends: start and goal, (3,) each, metres.
-        radius: safety radius of the vehicle, metres.
-        voxel: edge of the voxels that the cloud is thinned by, metres; None takes it as it is.
+    Points in a region that holds neither end are removed. A region that holds an end is its deck. The cloud is thinned
+    by voxels of an edge, where one is given.
 
     Example:
         >>> from jaxscp.corridor.polytope import box
@@ -102,15 +96,13 @@ def split_decks(
         (0.1, 2, -1.0, True)
     """
     holders = [[holds(region, end) for end in ends] for region in regions]
-    for region, held in zip(regions, holders, strict=True):
-        if not any(held):
-            cloud = cloud.without(region)
     cropped = np.zeros(cloud.count, bool)
+    removed = np.zeros(cloud.count, bool)
     for region, held in zip(regions, holders, strict=True):
-        if any(held):
-            cropped |= cloud.inside(region)
+        (cropped if any(held) else removed)[cloud.inside(region)] = True
+    cropped &= ~removed
     # Thinned one by one, so that no point stands for others across a region's border.
-    parts = [cloud.chosen(~cropped), cloud.chosen(cropped)]
+    parts = [cloud.chosen(~cropped & ~removed), cloud.chosen(cropped)]
     if voxel is not None:
         parts = [part.thinned(voxel) for part in parts]
     firm, freed = parts
@@ -121,12 +113,12 @@ def split_decks(
     both = PointCloud(points, spread, cloud.dropped, cloud.provenance)
     decks = []
     for k, end in enumerate(ends):
-        own = np.zeros(both.count, bool)
-        for region, held in zip(regions, holders, strict=True):
-            if held[k]:
-                own |= both.inside(region, margin=_LEVEL)
-        own[: firm.count] = False
-        decks.append(_deck(both, own, end, radius))
+        own = [region for region, held in zip(regions, holders, strict=True) if held[k]]
+        rows = np.any(
+            [both.inside(region, margin=_LEVEL) for region in own] or [np.zeros(both.count, bool)], axis=0
+        )
+        rows[: firm.count] = False
+        decks.append(_deck(both, rows, end, radius))
     return both, (decks[0], decks[1])
 
 

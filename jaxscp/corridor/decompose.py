@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float, Int, ScalarLike
 
 from jaxscp.core.types import Vector3
 from jaxscp.corridor.ellipsoids import Columns, Ellipsoid, around_segment, inside_polytope
-from jaxscp.corridor.halfspaces import Cuts, capsule_only, cut_away, switch, turn
+from jaxscp.corridor.halfspaces import Cuts, Keep, capsule_only, cut_away, switch, turn
 from jaxscp.corridor.polytope import Polytope
 
 Tree = TypeVar("Tree")
@@ -105,9 +105,9 @@ class Decomposition(eqx.Module):
     ) -> Cell:
         """Polytope around a segment that keeps ``radius`` from every point.
 
-        The cell holds the segment if the points keep ``radius`` from it, and a capsule of radius
-        ``clearance`` about it if they keep ``radius + clearance``: two cells whose segments share such an end
-        then overlap in a ball of that radius.
+        The cell holds the segment if the points keep ``radius`` from it. If they keep ``radius + clearance``, it
+        holds a capsule of radius ``clearance`` about it: two cells whose segments share such an end then overlap in
+        a ball of that radius.
 
         Args:
             segment: (2, 3) its ends, metres.
@@ -182,14 +182,14 @@ class EllipsoidDecomposition(Decomposition):
         """See ``Decomposition.separate``."""
         metric = around_segment(points, active, jnp.maximum(seed.half, _SHORTEST))
         rule = capsule_only if self.capsule else switch
-        return cut_away(points, active, metric, seed.half, radius, clearance, self.planes, rule)
+        return cut_away(points, active, metric, seed.half, Keep(radius, clearance), self.planes, rule)
 
 
 class InflationFIRI(Decomposition):
     """Inflation in the manner of FIRI (Wang et al. 2024, T-RO): the seed stays inside, the volume grows.
 
-    Rounds alternate between planes, the nearest to an ellipsoid first and turned only as far as the seed
-    demands, and the largest ellipsoid inside the polytope they make. The first ellipsoid is the closed form
+    Rounds alternate between planes and the largest ellipsoid inside the polytope that they make. Planes are laid
+    nearest to an ellipsoid first, and turned only as far as the seed demands. The first ellipsoid is the closed form
     about the segment. The round with the largest inscribed ellipsoid is kept, so more rounds never lose.
     """
 
@@ -208,7 +208,7 @@ class InflationFIRI(Decomposition):
         """See ``Decomposition.separate``."""
 
         def lay(metric: Ellipsoid) -> Cuts:
-            return cut_away(points, active, metric, seed.half, radius, clearance, self.planes, turn)
+            return cut_away(points, active, metric, seed.half, Keep(radius, clearance), self.planes, turn)
 
         def largest(cuts: Cuts) -> tuple[Ellipsoid, Float[Array, ""]]:
             normals = jnp.concatenate([cuts.normals, walls.normals])
@@ -216,18 +216,18 @@ class InflationFIRI(Decomposition):
             return inside_polytope(normals, offsets, jnp.zeros(3, points.dtype))
 
         first = around_segment(points, active, jnp.maximum(seed.half, _SHORTEST))
-        kept = lay(first)
-        ellipsoid, volume = largest(kept)
+        best = lay(first)
+        ellipsoid, volume = largest(best)
         # A cell without room about the segment's middle has no ellipsoid: keep to the first.
         ellipsoid = _select(jnp.isfinite(volume), ellipsoid, first)
         for _ in range(self.rounds - 1):
             cuts = lay(ellipsoid)
             grown, grown_volume = largest(cuts)
-            better = (grown_volume > volume) & (cuts.left <= kept.left)
-            kept = _select(better, cuts, kept)
+            better = (grown_volume > volume) & (cuts.left <= best.left)
+            best = _select(better, cuts, best)
             ellipsoid = _select(better, grown, ellipsoid)
             volume = jnp.where(better, grown_volume, volume)
-        return kept
+        return best
 
 
 def _select(condition: Bool[Array, ""], yes: Tree, no: Tree) -> Tree:

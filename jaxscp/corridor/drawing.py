@@ -1,4 +1,4 @@
-"""One picture of it all: cloud, route, polytopes and trajectory, with what is behind fainter."""
+"""One picture of cloud, route, polytopes and trajectory."""
 
 from __future__ import annotations
 
@@ -40,9 +40,6 @@ def draw(
         trajectory: (samples, 3) positions, metres.
         axes: where to draw; a new figure by default.
         ceiling: leave out points higher than this, metres, to look into a room.
-
-    Returns:
-        The axes drawn in.
 
     Example:
         >>> import matplotlib; matplotlib.use("Agg")

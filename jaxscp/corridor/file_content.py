@@ -1,4 +1,4 @@
-"""What a reader of one file format returns, and what it is told."""
+"""Arguments and results of the readers of file formats."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple

@@ -4,6 +4,7 @@
 # jax 0.9 declares of ``where`` that it may return a tuple, for arguments whose types are not declared
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -48,19 +49,19 @@ def capsule_normal(point: Vector3, half: ScalarLike) -> Vector3:
 
 
 def switch(tangent: Vector3, capsule: Vector3, point: Vector3, half: ScalarLike, need: ScalarLike) -> Vector3:
-    """The tangent normal where it leaves the seed what it needs, else the capsule's."""
+    """The tangent normal where it leaves the seed enough distance, else the capsule's."""
     return jnp.where(seed_gap(tangent, point, half) >= need, tangent, capsule)
 
 
 def turn(tangent: Vector3, capsule: Vector3, point: Vector3, half: ScalarLike, need: ScalarLike) -> Vector3:
-    """The first normal, on the way from the tangent's to the capsule's, that leaves the seed what it needs.
+    """The first normal, on the way from the tangent's to the capsule's, that leaves the seed enough distance.
 
     Normals that leave it make a convex cone, which the capsule's normal lies in whenever any does: so the way
     enters it once. This stands for the small quadratic program of restrictive inflation (Wang et al. 2024,
     section IV), with a gap to the seed that is not zero.
     """
-    share = jnp.linspace(0.0, 1.0, _TURNS + 1, dtype=point.dtype)[:, None]
-    ways = (1.0 - share) * tangent + share * capsule
+    fraction = jnp.linspace(0.0, 1.0, _TURNS + 1, dtype=point.dtype)[:, None]
+    ways = (1.0 - fraction) * tangent + fraction * capsule
     gaps = ways @ point - half * jnp.abs(ways[:, 0])
     fits = gaps >= jnp.asarray(need) * jnp.sqrt(jnp.sum(ways * ways, axis=1))
     return unit(ways[jnp.where(jnp.any(fits), jnp.argmax(fits), _TURNS)])
@@ -73,30 +74,36 @@ def capsule_only(
     return capsule
 
 
+class Keep(NamedTuple):
+    """Distances that a plane keeps."""
+
+    radius: ScalarLike
+    """From every point, metres."""
+    clearance: ScalarLike
+    """Around the seed where the points allow it, metres."""
+
+
 def cut_away(
     points: Columns,
     active: Bool[Array, "points"],
     metric: Ellipsoid,
     half: ScalarLike,
-    radius: ScalarLike,
-    clearance: ScalarLike,
+    keep: Keep,
     planes: int,
     rule: Rule,
 ) -> Cuts:
-    """Cut points away one plane at a time, until none is left or the slots are full.
+    """Half-spaces that cut points away one plane at a time, until none is left or the slots are full.
 
-    Each plane passes through the point that a growing copy of the ellipsoid meets first, is tangent to that
-    copy there unless the rule says otherwise, takes every point behind it away, and is then moved ``radius``
-    towards the seed: so all of them stay ``radius`` or more from what remains (Liu et al. 2017,
-    section III-B).
+    Each plane passes through the point that a growing copy of the ellipsoid meets first. It is tangent to that copy
+    there unless the rule says otherwise, and takes every point behind it away. Then it is moved ``radius`` towards
+    the seed: all these points stay ``radius`` or more from the rest (Liu et al. 2017, section III-B).
 
     Args:
         points: (3, points) in the seed's frame: the segment ``|x| <= half`` on the x axis, metres.
         active: (points,) which of them count.
         metric: the ellipsoid that grows.
         half: half the seed's length, metres.
-        radius: distance to keep from every point, metres.
-        clearance: distance to leave around the seed where the points allow it, metres.
+        keep: distances to keep.
         planes: slots.
         rule: how to choose a normal when the tangent plane comes too near the seed.
     """
@@ -114,24 +121,20 @@ def cut_away(
         slot, growth, _, nearest, normals, offsets = state
         point = points[:, nearest]
         tangent = unit(to_ball.T @ in_ball[:, nearest])
-        normal = rule(tangent, capsule_normal(point, half), point, half, radius + clearance)
+        normal = rule(tangent, capsule_normal(point, half), point, half, keep.radius + keep.clearance)
         height = normal @ point
         along = normal[0] * points[0] + normal[1] * points[1] + normal[2] * points[2]
         growth = jnp.where(along < height - slack, growth, jnp.inf)
+        first = first_index_of_least(growth)
         return (
             slot + 1,
             growth,
-            *first_index_of_least(growth),
+            *first,
             normals.at[slot].set(normal),
-            offsets.at[slot].set(height - radius),
+            offsets.at[slot].set(height - keep.radius),
         )
 
-    state = (
-        jnp.zeros((), jnp.int32),
-        growth,
-        *first_index_of_least(growth),
-        jnp.zeros((planes, 3), points.dtype),
-        jnp.ones(planes, points.dtype),
-    )
+    normals, offsets = jnp.zeros((planes, 3), points.dtype), jnp.ones(planes, points.dtype)
+    state = (jnp.zeros((), jnp.int32), growth, *first_index_of_least(growth), normals, offsets)
     _, growth, _, _, normals, offsets = jax.lax.while_loop(unfinished, cut, state)
     return Cuts(normals, offsets, jnp.sum(jnp.isfinite(growth), dtype=jnp.int32))

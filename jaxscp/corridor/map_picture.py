@@ -29,15 +29,14 @@ def draw_map(
 ) -> Figure:
     """Picture of a map from above and from the side, to scale, with the report beneath.
 
-    Points are shaded by their third coordinate. Start and goal are drawn with the vehicle's radius; an arrow points
-    to one that lies outside the map's box.
+    Points are shaded by their third coordinate. Start and goal are drawn with the vehicle's radius.
 
     Args:
         cloud: the map.
         report: facts about it, from ``map_report``.
         start: (3,) metres.
         goal: (3,) metres.
-        radius: radius of the vehicle, metres; that of the report by default.
+        radius: radius of the vehicle, metres; the report's by default.
 
     Example:
         >>> import matplotlib; matplotlib.use("Agg")
@@ -58,31 +57,33 @@ def draw_map(
     points = cloud.points[shown]
     points = points[np.random.default_rng(0).permutation(len(points))[:_MOST_POINTS]]
     for axes, (across, up, title) in zip(views, _VIEWS, strict=True):
-        depth = 3 - across - up
-        order = np.argsort(points[:, depth])
-        if up == 2:
-            order = order[::-1]
-        axes.scatter(
-            points[order, across],
-            points[order, up],
-            c=points[order, depth],
-            cmap="Greys",
-            s=2,
-            vmin=_pale(points[:, depth]),
-        )
+        _scatter(axes, points, across, up)
         axes.set(title=title, xlabel=f"{'xyz'[across]} [m]", ylabel=f"{'xyz'[up]} [m]", aspect="equal")
         _frame(axes, report, across, up)
-        for (name, marker, colour), place in zip(_ENDS, (start, goal), strict=True):
+        for style, place in zip(_ENDS, (start, goal), strict=True):
             if place is not None:
-                end = np.asarray(place, float)[[across, up]]
-                axes.plot(*end, marker, color=colour, label=name, markersize=6)
-                axes.add_patch(
-                    plt.Circle(tuple(end), radius or report.radius or 0.0, fill=False, color=colour)
-                )
+                _end(axes, np.asarray(place, float)[[across, up]], style, radius or report.radius or 0.0)
         if start is not None or goal is not None:
             axes.legend(loc="upper right")
     figure.supxlabel(str(report), x=0.02, ha="left", fontsize=8, family="monospace", wrap=True)
     return figure
+
+
+def _scatter(axes: Axes, points: np.ndarray, across: int, up: int) -> None:
+    """Points shaded by their depth, the nearest to the viewer last."""
+    depth = points[:, 3 - across - up]
+    order = np.argsort(depth)[:: -1 if up == 2 else 1]
+    style = {"cmap": "Greys", "s": 2, "vmin": _pale(depth)}
+    axes.scatter(points[order, across], points[order, up], c=depth[order], **style)
+
+
+def _end(axes: Axes, place: np.ndarray, style: tuple[str, str, str], radius: float) -> None:
+    """Start or goal, with the vehicle's radius about it."""
+    from matplotlib.patches import Circle
+
+    name, marker, colour = style
+    axes.plot(*place, marker, color=colour, label=name, markersize=6)
+    axes.add_patch(Circle((place[0], place[1]), radius, fill=False, color=colour))
 
 
 def _pale(depth: np.ndarray) -> float | None:

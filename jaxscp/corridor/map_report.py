@@ -25,7 +25,7 @@ class MapError(ValueError):
 
 
 class Flight(eqx.Module):
-    """What is asked of a map."""
+    """A flight that a map must serve."""
 
     start: Point
     """Start, (3,), metres."""

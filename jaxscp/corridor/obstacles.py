@@ -43,7 +43,7 @@ def inside_corridor(corridor: Corridor, cloud: PointCloud, margin: float = 0.0) 
         >>> inside_corridor(room, cloud).tolist(), inside_corridor(room, cloud, margin=0.25).tolist()
         ([True, False, False], [True, True, False])
     """
-    cells = [Polytope(n, b) for n, b in _distinct(corridor)]
+    cells = [Polytope(jnp.asarray(n), jnp.asarray(b)) for n, b in _distinct(corridor)]
     near = np.flatnonzero(_in_box(cells, cloud, margin))
     within = np.zeros(len(near), bool)
     candidates = PointCloud(cloud.points[near])

@@ -39,7 +39,7 @@ class FloorPlan(NamedTuple):
 def voxel_points(grid: Voxels) -> FileContent:
     """Centres of the cells that bound free space; a surface lies within half a diagonal of one of them.
 
-    Unknown is not free: an unknown cell beside a free one is an obstacle, and so is the outside of the grid.
+    Unknown is not free. An unknown cell beside a free one is an obstacle. The outside of the grid is unknown.
     """
     if grid.free is None:
         hidden = scipy.ndimage.binary_erosion(grid.occupied, _NEIGHBOURS, border_value=1)

@@ -43,7 +43,6 @@ def deepest_ball(polytope: Polytope) -> Ball:
     dtype = normals.dtype
     lengths = jnp.sqrt(jnp.sum(normals * normals, axis=1))
     rows = jnp.concatenate([normals, lengths[:, None]], axis=1)
-    gain = jnp.array([0.0, 0.0, 0.0, 1.0], dtype)
     eps = jnp.finfo(dtype).eps
 
     # Start at the foot of the least-squares point of all faces, which is near the middle of small overlaps.
@@ -53,42 +52,51 @@ def deepest_ball(polytope: Polytope) -> Ball:
     deepest = jnp.min(jnp.where(lengths > 0, slack, jnp.inf))
     unknowns = jnp.append(middle, deepest - 1.0)
     slack = offsets - rows @ unknowns
-    prices = 1.0 / slack
-
-    def longest_step(value, move):
-        return jnp.minimum(
-            1.0, jnp.min(jnp.where(move < 0, -value / jnp.where(move < 0, move, 1.0), jnp.inf))
-        )
+    multipliers = 1.0 / slack
 
     def step(_, state):
-        unknowns, slack, prices = state
-        primal = offsets - rows @ unknowns - slack
-        dual = gain - rows.T @ prices
-        mu = jnp.mean(slack * prices)
-        weights = prices / slack
-        normal = (rows.T * weights) @ rows
-        factor = jnp.linalg.cholesky(normal + 16 * eps * jnp.trace(normal) * jnp.eye(4, dtype=dtype))
+        return _predictor_corrector(state, rows, offsets)
 
-        def direction(product):
-            # rows . dy + ds = primal;  rows^T dz = dual;  z ds + s dz = product
-            right = rows.T @ (weights * primal - product / slack) + dual
-            move = jax.scipy.linalg.cho_solve((factor, True), right)
-            slack_move = primal - rows @ move
-            return move, slack_move, (product - prices * slack_move) / slack
-
-        _, ds, dz = direction(-slack * prices)
-        ahead = jnp.mean((slack + longest_step(slack, ds) * ds) * (prices + longest_step(prices, dz) * dz))
-        centring = (ahead / mu) ** 3
-        move, ds, dz = direction(centring * mu - slack * prices - ds * dz)
-        a, b = 0.99 * longest_step(slack, ds), 0.99 * longest_step(prices, dz)
-        new = (unknowns + a * move, slack + a * ds, prices + b * dz)
-        finite = jnp.all(jnp.isfinite(jnp.concatenate(new)))
-        going = finite & (mu > eps) & (jnp.min(slack + a * ds) > 0)
-        return tuple(jnp.where(going, after, before) for after, before in zip(new, state, strict=True))
-
-    unknowns, _, _ = jax.lax.fori_loop(0, _STEPS, step, (unknowns, slack, prices))
+    unknowns, _, _ = jax.lax.fori_loop(0, _STEPS, step, (unknowns, slack, multipliers))
     centre = unknowns[:3]
     gaps = jnp.where(
         lengths > 0, (offsets - normals @ centre) / jnp.where(lengths > 0, lengths, 1.0), jnp.inf
     )
     return Ball(centre, jnp.min(gaps))
+
+
+def _longest_step(value: Array, move: Array) -> Array:
+    """Largest step, at most one, that leaves every value positive."""
+    return jnp.minimum(1.0, jnp.min(jnp.where(move < 0, -value / jnp.where(move < 0, move, 1.0), jnp.inf)))
+
+
+def _predictor_corrector(state: tuple[Array, Array, Array], rows: Array, offsets: Array):
+    """One step of Mehrotra's method; the state stays as it is where that is not finite."""
+    unknowns, slack, multipliers = state
+    dtype = rows.dtype
+    gain, eps = jnp.array([0.0, 0.0, 0.0, 1.0], dtype), jnp.finfo(dtype).eps
+    primal = offsets - rows @ unknowns - slack
+    dual = gain - rows.T @ multipliers
+    mu = jnp.mean(slack * multipliers)
+    weights = multipliers / slack
+    normal = (rows.T * weights) @ rows
+    factor = jnp.linalg.cholesky(normal + 16 * eps * jnp.trace(normal) * jnp.eye(4, dtype=dtype))
+
+    def direction(product):
+        # rows . dy + ds = primal;  rows^T dz = dual;  z ds + s dz = product
+        right = rows.T @ (weights * primal - product / slack) + dual
+        move = jax.scipy.linalg.cho_solve((factor, True), right)
+        slack_move = primal - rows @ move
+        return move, slack_move, (product - multipliers * slack_move) / slack
+
+    _, ds, dz = direction(-slack * multipliers)
+    predicted = jnp.mean(
+        (slack + _longest_step(slack, ds) * ds) * (multipliers + _longest_step(multipliers, dz) * dz)
+    )
+    centring = (predicted / mu) ** 3
+    move, ds, dz = direction(centring * mu - slack * multipliers - ds * dz)
+    a, b = 0.99 * _longest_step(slack, ds), 0.99 * _longest_step(multipliers, dz)
+    new = (unknowns + a * move, slack + a * ds, multipliers + b * dz)
+    finite = jnp.all(jnp.isfinite(jnp.concatenate(new)))
+    going = finite & (mu > eps) & (jnp.min(slack + a * ds) > 0)
+    return tuple(jnp.where(going, after, before) for after, before in zip(new, state, strict=True))

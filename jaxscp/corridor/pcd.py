@@ -28,7 +28,7 @@ def read_pcd(path: Path, request: Request) -> FileContent:
     """Points from a .pcd: ascii, binary or binary_compressed; version 0.5 to 0.7, field names in either case.
 
     Raises:
-        CloudFileError: the header or the data are not those of a .pcd; the message has the field or the place.
+        CloudFileError: the header or the data are wrong; the message has the field or the place.
     """
     header = _header(path, request.library)
     points = _points(path, header, request.library)

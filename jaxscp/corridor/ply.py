@@ -37,7 +37,7 @@ def read_ply(path: Path, request: Request) -> FileContent:
         return FileContent(points)
     if indices.min() < 0 or indices.max() >= len(points):
         raise CloudFileError(f"{path}: a face names vertex {indices.max()}, but there are {len(points)}")
-    finite = np.isfinite(points).all(axis=1)[indices].all(axis=1)
+    finite = np.asarray(np.isfinite(points).all(axis=1))[indices].all(axis=1)
     if not finite.any():
         raise CloudFileError(f"{path}: no triangle with finite corners")
     return FileContent(sampled(path, points.astype(float), indices[finite], request))

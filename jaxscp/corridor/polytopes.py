@@ -83,9 +83,8 @@ def connect(
         margin: distance to move every face inwards, metres.
 
     Raises:
-        ValueError: there is no polytope, the margin is negative, the number of joints is wrong, or without
-            joints a polytope is empty or two consecutive ones do not overlap. The message has their numbers,
-            counted from 0.
+        ValueError: there is no polytope, the margin is negative, or the number of joints is wrong. Without joints
+            also: a polytope is empty, or two consecutive ones do not overlap. The message has their numbers, from 0.
 
     Example:
         >>> import jaxscp

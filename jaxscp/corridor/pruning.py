@@ -32,19 +32,19 @@ def without_redundant(
     polytopes: Polytope, clearance: float
 ) -> tuple[list[int], Float[np.ndarray, "joints 4"]]:
     """Which polytopes to keep, and the overlaps between those."""
-    kept = list(range(len(polytopes.offsets)))
+    rows = list(range(len(polytopes.offsets)))
     while True:
-        left = chosen(polytopes, kept)
+        left = chosen(polytopes, rows)
         near, far = _balls(left, 1), _balls(left, 2)
         dropped = _droppable(near[:, 3], far[:, 3], clearance)
         if not dropped:
-            return kept, near
-        kept = [kept[place] for place in range(len(kept)) if place not in dropped]
+            return rows, near
+        rows = [rows[place] for place in range(len(rows)) if place not in dropped]
 
 
-def chosen(polytopes: Polytope, kept: list[int]) -> Polytope:
+def chosen(polytopes: Polytope, rows: list[int]) -> Polytope:
     """Polytopes of the given numbers."""
-    return jax.tree.map(lambda rows: rows[np.array(kept)], polytopes)
+    return jax.tree.map(lambda array: array[np.array(rows)], polytopes)
 
 
 def _droppable(

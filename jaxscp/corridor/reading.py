@@ -1,4 +1,21 @@
-"""Point clouds from files: each format by its own library, then brought to metres, z up."""
+"""Point clouds from files: each format by its own library, then brought to metres, z up.
+
+=========================================  =========================================================  ========
+suffix                                     content                                                    library
+=========================================  =========================================================  ========
+``.pcd``                                   Point Cloud Data of every version and encoding             pypcd4
+``.ply``                                   vertices; faces and triangle strips are surfaces           plyfile
+``.xyz .txt .csv .asc .pts``               x y z by a header, or in the first three columns           numpy
+``.npy``                                   array (points, 3 or more), or occupancy of bool            numpy
+``.stl .obj .off .glb .gltf``              mesh, sampled at about ``spacing``                         trimesh
+``.las .laz``                              laser scan; points of class noise are left out             laspy
+``.e57``                                   laser scans in their common frame                          pye57
+``.bt .ot``                                OctoMap; unknown cells beside free ones are obstacles      octomap
+``.yaml``                                  floor plan of ROS with its image; needs a height           yaml
+=========================================  =========================================================  ========
+
+Install the libraries with ``pip install 'jaxscp[clouds]'``; the last four rows need ``jaxscp[scans]``.
+"""
 
 import warnings
 from collections.abc import Callable
@@ -63,21 +80,8 @@ def read_cloud(
 ) -> PointCloud:
     """Point cloud of a file in metres, z up; a mesh in any format is sampled as a surface.
 
-    =========================================  =========================================================  ========
-    suffix                                     content                                                    library
-    =========================================  =========================================================  ========
-    ``.pcd``                                   Point Cloud Data of every version and encoding             pypcd4
-    ``.ply``                                   vertices; faces and triangle strips are surfaces           plyfile
-    ``.xyz .txt .csv .asc .pts``               x y z by a header, or in the first three columns           numpy
-    ``.npy``                                   array (points, 3 or more), or occupancy of bool            numpy
-    ``.stl .obj .off .glb .gltf``              mesh, sampled at about ``spacing``                         trimesh
-    ``.las .laz``                              laser scan; points of class noise are left out             laspy
-    ``.e57``                                   laser scans in their common frame                          pye57
-    ``.bt .ot``                                OctoMap; unknown cells beside free ones are obstacles      octomap
-    ``.yaml``                                  floor plan of ROS with its image; needs a height           yaml
-    =========================================  =========================================================  ========
-
-    Install the libraries with ``pip install 'jaxscp[clouds]'``; the last four rows need ``jaxscp[scans]``.
+    The docstring of ``jaxscp.corridor.reading`` lists the formats. Their libraries come with the extras ``clouds`` and
+    ``scans``.
 
     Args:
         path: the file.
@@ -114,14 +118,20 @@ def read_cloud(
     load = partial(_library, chosen.extra, path)
     library = None if chosen.library is None else load(chosen.library)
     content = chosen.read(path, Request(library, load, spacing / scale, seed, layout or FileLayout()))
-    scale = metres(unit or content.unit or "m")
+    local = np.zeros(3) if offset is None else _offset(offset)
+    return _in_metres(path, content, unit or content.unit, frame, local)
+
+
+def _in_metres(
+    path: Path, content: FileContent, unit: str | None, frame: str | None, local: Float[np.ndarray, "3"]
+) -> PointCloud:
+    """Cloud of a file's content in metres, z up, relative to a local origin."""
+    scale = metres(unit or "m")
     points, absurd, rounding = _usable(path, content, scale)
-    points, notes, turned = _in_frame(path, points, content, scale, frame)
-    if offset is not None:
-        points = points - _offset(offset)
-    cloud = PointCloud.of(points, source=str(path))
+    points, notes, known = _in_frame(path, points, content, scale, frame)
+    cloud = PointCloud.of(points - local if np.any(local) else points, source=str(path))
     doubts = content.doubts if frame is None else ()
-    origin = Provenance(str(path), unit or content.unit, frame or turned, content.notes + notes, doubts)
+    origin = Provenance(str(path), unit, known, content.notes + notes, doubts)
     return PointCloud(cloud.points, content.cover * scale + rounding, cloud.dropped + absurd, origin)
 
 

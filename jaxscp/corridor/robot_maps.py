@@ -31,7 +31,7 @@ def read_octomap(path: Path, request: Request) -> FileContent:
             (*leaf.getCoordinate(), leaf.getSize(), tree.isNodeOccupied(leaf)) for leaf in tree.begin_leafs()
         ]
         cell = float(tree.getResolution())
-    except Exception as error:  # its classes are those of a C++ library
+    except Exception as error:  # it raises the errors of a C++ library
         raise CloudFileError(
             f"{path}: not a whole OctoMap of {path.stat().st_size} bytes: {error}"
         ) from error

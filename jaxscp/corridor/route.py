@@ -141,17 +141,17 @@ def _check_end(end: int, place: str, point: Point, space: Space, spread: float) 
         )
 
 
-def _shortened(path: Waypoints, space: Space) -> Float[np.ndarray, "kept 3"]:
+def _shortened(path: Waypoints, space: Space) -> Float[np.ndarray, "_ 3"]:
     """Leave out vertices where straight flight keeps the roomy distance; legs to tight ends stay."""
 
     def may_skip(i: int, k: int) -> bool:
         return k == i + 1 or space.along(path[i], path[k]) >= space.roomy
 
-    kept, here = [0], 0
+    chosen, here = [0], 0
     while here < len(path) - 1:
         here = _furthest(here, len(path) - 1, may_skip)
-        kept.append(here)
-    return path[kept]
+        chosen.append(here)
+    return path[chosen]
 
 
 def _furthest(here: int, last: int, may_skip: Callable[[int, int], bool]) -> int:

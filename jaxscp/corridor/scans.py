@@ -39,7 +39,7 @@ def read_e57(path: Path, request: Request) -> FileContent:
         finally:
             file.close()
         parts = [np.stack([scan[f"cartesian{axis}"] for axis in "XYZ"], axis=1) for scan in scans]
-    except Exception as error:  # pye57 raises those of a C++ library
+    except Exception as error:  # pye57 raises the errors of a C++ library
         raise CloudFileError(f"{path}: not a whole .e57 of {path.stat().st_size} bytes: {error}") from error
     points = np.concatenate(parts) if parts else np.empty((0, 3))
     return FileContent(points, unit="m", frame="enu")

@@ -1,4 +1,4 @@
-"""What a polytope looks like from the host: its corners, its volume, the faces that matter."""
+"""Corners, volume and needed faces of a polytope, on the host."""
 
 import numpy as np
 import scipy
@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from jaxscp.corridor.polytope import Polytope
 
-_ROOM = 1e-3
+_INSIDE = 1e-3
 _LEAST = 1e-9
 _ON_FACE = 1e-7
 
@@ -39,7 +39,7 @@ def _inside(normals, offsets, hint: ArrayLike | None) -> Float[np.ndarray, "3"] 
     """
     if hint is not None:
         point = np.asarray(hint, float)
-        if np.min(offsets - normals @ point) > _ROOM:
+        if np.min(offsets - normals @ point) > _INSIDE:
             return point
     rows = np.column_stack([normals, np.linalg.norm(normals, axis=1)])
     found = scipy.optimize.linprog([0.0, 0.0, 0.0, -1.0], rows, offsets, bounds=[(None, None)] * 4)

@@ -75,8 +75,8 @@ def test_normals_become_unit_vectors(factor):
     scaled = Polytope(room.normals * rows[:, None], room.offsets * rows)
     np.testing.assert_allclose(connect([scaled], []).offsets, connect([room], []).offsets)
     plain = connect([room], [])
-    stretched = Corridor(plain.normals * rows[None, :, None], plain.offsets * rows, plain.joints)
-    np.testing.assert_allclose(stretched.with_unit_normals().normals, plain.normals)
+    scaled_rows = Corridor(plain.normals * rows[None, :, None], plain.offsets * rows, plain.joints)
+    np.testing.assert_allclose(scaled_rows.with_unit_normals().normals, plain.normals)
     gradient = jax.grad(
         lambda f: Corridor(f * plain.normals, plain.offsets, plain.joints).with_unit_normals().offsets.sum()
     )
