@@ -27,19 +27,20 @@ MOST_ROOMS, MOST_ARROWS, MOST_FLOORS = 24, 85, 11
 MOST_LINES, MOST_FUNCTION_LINES, MOST_ARGUMENTS = 300, 50, 7
 CONES = {"Cone", "Zero", "NonNegative", "SecondOrder", "SymmetricCone"}
 
-# The verifier shares with the solver the statement of an interval, and no code that integrates it.
+# The verifier shares the statement of an interval, its own gradient's integration in JAX, and the tableaus' class. It
+# shares none of the solver's compiled integration, and uses another tableau.
 SHARED_WITH_VERIFIER = {"intervals", "in_jax", "tableaus"}
 
 # Words of this package's own past that have no standard meaning: they may stand in no identifier.
 PRIVATE = re.compile(
     r"(^|_)(lacks?|owed|apart|lanes?|kept|ahead|flown|reflown|lifted|loaded|foretold|foreseen|weigh|weighed|pulled|"
     r"sweeps?|passes|stretch|stretches|judge|judged|wanted|settled|prices?|poles|anew|begun_anew|quickly|played|"
-    r"tiles?|polish|published|fly|bend|kink|followed|unit_of|owes)($|_)",
+    r"tiles?|published|fly|kink|followed|unit_of|owes)($|_)",
     re.IGNORECASE,
 )
 # Words that have a standard meaning too: they may not stand in the old one.
 PRIVATE_IN_FILE = {
-    "scp/newton.py": {"finish", "reached", "near", "slack", "past", "exact"},
+    "scp/newton.py": {"polish", "finish", "reached", "near", "slack", "past", "exact"},
     "scp/state.py": {"near", "reached", "past", "exact", "newton_steps"},
     "scp/ptr.py": {"SHARE", "KEPT", "ENDING", "moved", "virtual"},
     "scp/convex_model.py": {"near", "held", "pull", "own"},
@@ -49,7 +50,7 @@ PRIVATE_IN_FILE = {
     "scp/history.py": {"virtual", "step"},
     "nlp/interior_point.py": {"shift", "moved", "FOLLOWED", "LONGEST", "first", "ended", "owed"},
     "nlp/central_path.py": {"ROOM", "inverse"},
-    "transcription/shooting.py": {"keep", "given"},
+    "transcription/shooting.py": {"bend", "keep", "given"},
     "transcription/inequalities.py": {"room", "unit"},
     "verification/certificate.py": {"safe", "acceptable"},
     "solver/solution.py": {"newton_steps", "allocation"},

@@ -72,7 +72,7 @@ def difference(expected: Spec, found: Spec, name: str = "") -> str | None:
         >>> import jax.numpy as jnp, jaxscp
         >>> from jaxscp.aot.pytree_spec import spec_of, difference
         >>> slow, any_speed = jaxscp.flight_limits(speed=3.0), jaxscp.flight_limits()
-        >>> difference(describe(slow), spec_of(any_speed))
+        >>> difference(spec_of(slow), spec_of(any_speed))
         'speed: float64 of shape () expected, got None'
     """
     if expected == found:

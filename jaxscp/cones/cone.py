@@ -52,7 +52,7 @@ class Cone(eqx.Module):
 
     @abc.abstractmethod
     def inactive_value(self, values: Rows) -> Rows:
-        """Values in place of an inactive constraint's: they satisfy it, whatever the variables are."""
+        """Constant values inside the cone, which replace the values of an inactive constraint."""
 
     @abc.abstractmethod
     def multiplier_size(self, multiplier: Rows) -> Conditions:
@@ -103,8 +103,8 @@ class Zero(Cone):
         return jnp.abs(multiplier)
 
     def tighten(self, values, second_difference, mask):
-        """As for nonnegative values."""
-        return _tighten_rows(values, second_difference, mask)
+        """The values: an equality has no margin."""
+        return values
 
 
 class SymmetricCone(Cone):

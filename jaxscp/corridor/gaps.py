@@ -97,8 +97,8 @@ def _repeating(
         rows = np.arange(len(some))[:, None]
         step, offset = length[rows, nearest], off[rows, nearest]
         short, long = np.minimum(step, step[:, _OPPOSITE]), np.maximum(step, step[:, _OPPOSITE])
-        bend = np.linalg.norm(offset + offset[:, _OPPOSITE], axis=2)
-        repeats = any_there & any_there[:, _OPPOSITE] & (bend <= _STRAIGHT * 0.5 * (short + long))
+        second = np.linalg.norm(offset + offset[:, _OPPOSITE], axis=2)
+        repeats = any_there & any_there[:, _OPPOSITE] & (second <= _STRAIGHT * 0.5 * (short + long))
         row, way = np.nonzero(repeats & (short > least) & (long <= most))
         pairs.append(np.column_stack([some[row], near[row, nearest[row, way]]]))
     return np.concatenate(pairs)

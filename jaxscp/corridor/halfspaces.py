@@ -125,14 +125,8 @@ def cut_away(
         height = normal @ point
         along = normal[0] * points[0] + normal[1] * points[1] + normal[2] * points[2]
         growth = jnp.where(along < height - slack, growth, jnp.inf)
-        first = first_index_of_least(growth)
-        return (
-            slot + 1,
-            growth,
-            *first,
-            normals.at[slot].set(normal),
-            offsets.at[slot].set(height - keep.radius),
-        )
+        normals, offsets = normals.at[slot].set(normal), offsets.at[slot].set(height - keep.radius)
+        return (slot + 1, growth, *first_index_of_least(growth), normals, offsets)
 
     normals, offsets = jnp.zeros((planes, 3), points.dtype), jnp.ones(planes, points.dtype)
     state = (jnp.zeros((), jnp.int32), growth, *first_index_of_least(growth), normals, offsets)

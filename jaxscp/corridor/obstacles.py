@@ -1,4 +1,4 @@
-"""Obstacle points near a corridor: for the certificate, and to find points inside a corridor made by hand."""
+"""Obstacle points near a corridor, and those inside a corridor made by hand."""
 
 from collections.abc import Sequence
 

@@ -80,8 +80,7 @@ def read_cloud(
 ) -> PointCloud:
     """Point cloud of a file in metres, z up; a mesh in any format is sampled as a surface.
 
-    The docstring of ``jaxscp.corridor.reading`` lists the formats. Their libraries come with the extras ``clouds`` and
-    ``scans``.
+    The head of this module lists the formats; the extras ``clouds`` and ``scans`` bring their libraries.
 
     Args:
         path: the file.
@@ -112,9 +111,8 @@ def read_cloud(
         raise FileNotFoundError(f"no such file: {path}")
     chosen = _FORMATS.get(path.suffix.lower())
     if chosen is None:
-        raise CloudFileError(
-            f"{path}: unknown kind of cloud file {path.suffix!r}; known are {', '.join(_FORMATS)}"
-        )
+        known = ", ".join(_FORMATS)
+        raise CloudFileError(f"{path}: unknown kind of cloud file {path.suffix!r}; known are {known}")
     load = partial(_library, chosen.extra, path)
     library = None if chosen.library is None else load(chosen.library)
     content = chosen.read(path, Request(library, load, spacing / scale, seed, layout or FileLayout()))

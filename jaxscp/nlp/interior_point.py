@@ -109,7 +109,7 @@ class NLPInteriorPoint(eqx.Module):
         y: Multipliers,
         grid: Grid,
     ) -> Iterate:
-        """First iterate: the slacks of the point, large enough that no multiplier exceeds the given one."""
+        """First iterate: slacks s of the point, raised to mu / max(y, sqrt(mu)), so that mu / s exceeds neither."""
         mu = jnp.asarray(self.initial_mu, z.dtype)
         values = inequalities(problem, z, evaluate(problem, z, grid), RELAXATION)
         slack = tuple(

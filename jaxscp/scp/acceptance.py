@@ -8,12 +8,11 @@ from jax.flatten_util import ravel_pytree
 from jaxscp.core.status import usable
 from jaxscp.core.types import Count, Flag, Scalar
 from jaxscp.problem.problem import OptimalControlProblem, typical_sizes
-from jaxscp.scp.line_search import LineSearch
+from jaxscp.scp.line_search import PROXIMAL_GROWTH, LineSearch
 from jaxscp.scp.state import NewtonSettings, NewtonState
 from jaxscp.scp.subproblem import SubproblemSolution
 from jaxscp.transcription.shooting import linearise_with_hessian
 
-SHORTENED = (1.0, 2.0, 4.0)  # least growth of the proximal weight, by the index of the accepted fraction
 FULL_HESSIAN_BELOW = 1e-3  # proximal weight below which the Hessian is convexified along the horizon
 FULL_HESSIAN_PROXIMAL = 0.02  # proximal weight to begin that with
 LEAST_PROXIMAL, MOST_PROXIMAL = 1e-5, 1e4
@@ -50,7 +49,7 @@ def accept_or_reject(
     )
     new = eqx.tree_at(choice, state, chosen)
     return eqx.tree_at(
-        lambda s: (s.proximal, s.full_hessian, s.scale, s.accepted),
+        lambda s: (s.proximal, s.full_hessian, s.scale, s.accepted_with_small_proximal),
         new,
         (
             proximal,
@@ -73,7 +72,7 @@ def _next_proximal(state: NewtonState, ratio: Scalar, accept: Flag, chosen: Coun
     blockwise = jnp.where(ratio > 0.5, 0.2, jnp.where(ratio > 0.1, 1.0, 2.0))
     full = jnp.where(ratio > 0.85, 0.2, jnp.where(ratio > 0.6, 0.5, jnp.where(ratio > 0.2, 1.0, 3.0)))
     factor = jnp.where(state.full_hessian, full, blockwise)
-    factor = jnp.where(chosen > 0, jnp.maximum(factor, jnp.array(SHORTENED)[chosen]), factor)
+    factor = jnp.where(chosen > 0, jnp.maximum(factor, jnp.array(PROXIMAL_GROWTH)[chosen]), factor)
     factor = jnp.where(accept, factor, jnp.where(state.full_hessian, 5.0, 8.0))
     proximal = jnp.maximum(state.proximal * factor, LEAST_PROXIMAL)
     begin = accept & ~state.full_hessian & (proximal < FULL_HESSIAN_BELOW) & (ratio > 0.5)

@@ -34,8 +34,8 @@ def check_convergence(
     kkt = stationarity(gradient, new.z, now.cost) / settings.tolerance_gradient
     inexactness = qp.forcing / settings.tolerance  # a coarse subproblem leaves its prediction uncertain
     worst = jnp.max(jnp.stack([*residuals, decrease, kkt, inexactness]))
-    optimal = new.accepted & (worst <= 1.0)
-    close_to_optimum = new.accepted & (worst <= tolerance_factor)
+    optimal = new.accepted_with_small_proximal & (worst <= 1.0)
+    close_to_optimum = new.accepted_with_small_proximal & (worst <= tolerance_factor)
     stuck = new.proximal > MOST_PROXIMAL
     feasible = dynamics_feasible & constraints_feasible
     status = Status.where(constraints_feasible, Status.iteration_limit, Status.constraints_unmet)

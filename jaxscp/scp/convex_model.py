@@ -51,7 +51,7 @@ def convex_model(problem: OptimalControlProblem, state: NewtonState) -> ConvexMo
     chosen = batching.where_needed(
         state.full_hessian, lambda fixed, _: _along_horizon(*fixed), (problem, state, scale), plain
     )
-    hessian = chosen.hessian.at[-1].add(jnp.diag(1.0 - of_node))  # the last stage's third part is idle
+    hessian = chosen.hessian.at[-1].add(jnp.diag(1.0 - of_node))  # the last stage's U_{i+1} has no meaning
     return ConvexModel(hessian / scale / scale[:, None], chosen.gradient / scale, metric, scale)
 
 

@@ -2,8 +2,9 @@
 
 A stage holds all variables of its interval, so that Hessian and constraints inside the interval belong to one stage.
 Coupling rows make neighbours agree on the node that they share: the dynamics are soft rows, the others are hard. The
-last stage is the last node alone; its third part is idle. If a constraint is not convex, every stage has one more
-variable, the virtual buffer, which relaxes it at a penalty: far from a solution, linearisations may be infeasible.
+last stage is the last node alone: its variables U_{i+1} have no meaning. If a constraint is not convex, every stage
+has one more variable, the virtual buffer, which relaxes it at a penalty: far from a solution, linearisations may be
+infeasible.
 """
 
 import jax

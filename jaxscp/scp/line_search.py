@@ -21,6 +21,7 @@ from jaxscp.transcription.lagrangian import Merit, Residual, residual
 from jaxscp.transcription.shooting import Grid, evaluate
 
 LENGTHS = (1.0, 0.5, 0.2)  # fractions of a step, in the order of the trials
+PROXIMAL_GROWTH = (1.0, 2.0, 4.0)  # least growth of the proximal weight, for each of the fractions
 SUFFICIENT_DECREASE = 1e-4  # fraction of the predicted decrease
 
 
@@ -88,6 +89,7 @@ def line_search(
         slack=slacks(problem, state.linear.outputs),
         correction=correction(problem, state.linear, active, model.metric, state.scale),
         merit=qp.merit,
+        # the prediction may be of either sign: the model's Hessian is not the one that predicts
         sufficient=worst - SUFFICIENT_DECREASE * jnp.abs(qp.decrease),
         grid=settings.grid,
         rounds=settings.correction_rounds,

@@ -40,12 +40,8 @@ from jaxscp.transcription.shooting import evaluate, linearise, linearise_with_he
 
 TOLERANCE_FACTORS = (100.0, 1.0)  # times the tolerances, at which the interior point is tried
 MERIT_MEMORY = 5  # accepted points whose worst merit a new one must beat
-RESTORATION_PENALTIES = (
-    1e7,
-    1e7,
-    1e7,
-    1e4,
-)  # on leaving a limit; the last one lets go where nothing else helps
+# On leaving a limit, one round each; the last one is lower: a limit may be left where nothing else helps.
+RESTORATION_PENALTIES = (1e7, 1e7, 1e7, 1e4)
 
 
 class NewtonSCP(NewtonSettings):
@@ -117,7 +113,7 @@ class NewtonSCP(NewtonSettings):
             proximal=jnp.asarray(self.proximal, z.dtype),
             full_hessian=no,
             scale=typical_sizes(z),
-            accepted=no,
+            accepted_with_small_proximal=no,
             cost=now.cost,
             iterations=count,
             close_to_optimum=no,

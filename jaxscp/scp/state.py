@@ -53,8 +53,8 @@ class NewtonState(eqx.Module):
     """Whether the Hessian is convexified along the horizon, else block by block."""
     scale: Float[Array, "variables"]
     """Typical sizes of a node's variables: the largest of the iterates so far, at least one."""
-    accepted: Flag
-    """Whether the last step was accepted while the proximal weight was small."""
+    accepted_with_small_proximal: Flag
+    """Whether the last step was accepted while the proximal weight was small: only then is a small step convergence."""
     cost: Scalar
     iterations: Count
     close_to_optimum: Flag

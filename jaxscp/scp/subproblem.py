@@ -30,7 +30,7 @@ class SubproblemSolution(eqx.Module):
     merit: Merit
     """Merit function with these multipliers."""
     decrease: Scalar
-    """Decrease of the merit that the model predicts."""
+    """Predicted decrease of the merit, with the Lagrangian's own Hessian: of either sign, as that is not convex."""
     decrease_negligible: Flag
     """Whether the decrease is below the rounding of the cost."""
     forcing: Scalar

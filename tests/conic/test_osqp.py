@@ -142,9 +142,11 @@ def test_the_method_runs_on_it(double_integrator):
     """Iterates agree with the interior point's if virtual control is not used, whose norm differs."""
     histories = []
     for conic in (InteriorPoint(), OSQP()):
-        method = PTR(trust_region=ProximalTrustRegion(1.0), max_iterations=8, coarsest=0.0, conic=conic)
+        method = PTR(
+            trust_region=ProximalTrustRegion(1.0), max_iterations=8, initial_forcing=0.0, conic=conic
+        )
         result = jax.jit(method.run)(*double_integrator)
         histories.append(result.history)
-        assert float(result.history.virtual[-1]) < 1e-4
+        assert float(result.history.virtual_control[-1]) < 1e-4
     np.testing.assert_allclose(histories[1].cost, histories[0].cost, rtol=SAME_VALUE)
     np.testing.assert_allclose(histories[1].final_time, histories[0].final_time, rtol=1e-2)

@@ -36,7 +36,7 @@ def test_plans_land_where_they_say(seed):
 @pytest.mark.slow
 def test_coarse_subproblems_end_where_exact_ones_do():
     scenarios = random_instances(jax.random.key(2), 50)
-    methods = jaxscp.PTR(), jaxscp.PTR(coarsest=0.0)
+    methods = jaxscp.PTR(), jaxscp.PTR(initial_forcing=0.0)
     coarse, exact = (jax.jit(jax.vmap(jaxscp.Planner(method=method)))(scenarios) for method in methods)
     assert set(status_names(coarse.status)) == set(status_names(exact.status)) == {"converged"}
     np.testing.assert_allclose(coarse.cost, exact.cost, rtol=COARSE)
