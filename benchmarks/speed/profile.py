@@ -164,7 +164,7 @@ def _conic_pieces(pieces: Pieces, conic: Any, program: Any, count: int, steps: i
     pieces.add(
         Piece("conic: Newton step", steps, step, flops_of_loop(replace(conic, compiled=False), program))
     )
-    if conic.compiled and native.serves(program):
+    if conic.compiled and native.supports(program):
         return  # the parts below belong to the loop in JAX
 
     scaled_program, _ = pieces.time(

@@ -1,4 +1,4 @@
-"""Solvers for the convex subproblem: our structured interior point, also as a layer, and OSQP on its quadratic form."""
+"""Convex conic programs on a chain of nodes, and their solvers: interior point, differentiable layer, OSQP."""
 
 import lazy_loader
 

@@ -1,7 +1,7 @@
-"""Ruiz equilibration that keeps the program's structure: columns, rows and cost near unit size.
+"""Ruiz equilibration with the program's structure: largest entries of columns, rows and cost become about one.
 
-A second-order cone admits one scale for all its rows, and so do the soft rows of a link, whose virtual
-control is measured by one Euclidean norm. Hard rows and half-spaces are scaled one by one.
+All rows of a second-order cone share one scale. So do the soft rows of a link, because one Euclidean norm measures
+their virtual control. Hard rows and half-spaces have a scale each.
 """
 
 import equinox as eqx
@@ -20,22 +20,28 @@ from jaxscp.conic.program import (
 )
 from jaxscp.core.types import Scalar
 
-_LOWEST, _HIGHEST = 1e-4, 1e4  # limits on each scale, as in OSQP and Clarabel
+_LOWEST, _HIGHEST = 1e-4, 1e4  # limits of each scale, as in OSQP and Clarabel
+_EMPTY = 1e-12  # largest entry below which a row or column counts as empty
 
 
 class Scales(eqx.Module):
-    """What a program was multiplied by, so that its answer can be taken back."""
+    """Scales of an equilibrated program: factors of its columns, rows and cost."""
 
     columns: Float[Array, "nodes variables"]
+    """z of the given program = columns * z of the equilibrated program."""
     links: Float[Array, "links link_rows"]
+    """Factors of the links' rows."""
     rows: Float[Array, "nodes rows"]
+    """Factors of the half-spaces."""
     cones: tuple[Float[Array, "nodes _"], ...]
+    """Factors of the user's second-order cones, one array a group."""
     cost: Scalar
+    """Factor of the cost."""
 
     def restore(
         self, z: Float[Array, "nodes variables"], multipliers: ConicMultipliers
     ) -> tuple[Float[Array, "nodes variables"], ConicMultipliers]:
-        """Take a solution of the scaled program back to the given one."""
+        """Solution (z, multipliers) in the user's units, from the one of the equilibrated program."""
         cones = tuple(
             y * r[..., None] / self.cost for y, r in zip(multipliers.cones, self.cones, strict=True)
         )
@@ -43,19 +49,22 @@ class Scales(eqx.Module):
             multipliers.links * self.links / self.cost, multipliers.rows * self.rows / self.cost, cones
         )
 
-    def apply(self, near: WarmStart) -> WarmStart:
-        """Take a point of the given program to the scaled one."""
-        given = near.multipliers
-        cones = tuple(y * self.cost / r[..., None] for y, r in zip(given.cones, self.cones, strict=True))
+    def apply(self, warm_start: WarmStart) -> WarmStart:
+        """Warm start in equilibrated units, from one in the user's units."""
+        y = warm_start.multipliers
+        cones = tuple(v * self.cost / r[..., None] for v, r in zip(y.cones, self.cones, strict=True))
         multipliers = ConicMultipliers(
-            given.links * self.cost / self.links, given.rows * self.cost / self.rows, cones
+            y.links * self.cost / self.links, y.rows * self.cost / self.rows, cones
         )
-        return WarmStart(near.z / self.columns, multipliers, near.known)
+        return WarmStart(warm_start.z / self.columns, multipliers, warm_start.available)
 
 
 def equilibrate(program: StagedProgram, rounds: int = 3) -> tuple[StagedProgram, Scales]:
-    """Scale a program; ``Scales.restore`` takes its solution back, which does not depend on the scales: they have no
-    derivative."""
+    """Equilibrated program and its scales.
+
+    ``Scales.restore`` converts the solution back. That solution does not depend on the scales, so they have no
+    derivative.
+    """
     scales = _scales(jax.lax.stop_gradient(program), rounds)
     return scaled_by(program, scales), scales
 
@@ -68,12 +77,12 @@ def _scales(program: StagedProgram, rounds: int) -> Scales:
         tuple(jnp.ones_like(cone.offset[..., 0]) for cone in program.cones),
         jnp.ones((), program.gradient.dtype),
     )
-    # a loop, since the compiler would do a round again wherever the next one reads of it
+    # A loop, because XLA would recompute a round for each of its uses in the next one.
     return jax.lax.fori_loop(0, rounds, lambda _, s: _refine(scaled_by(program, s), s), scales)
 
 
 def _refine(scaled: StagedProgram, scales: Scales) -> Scales:
-    """One Ruiz round: divide every row and column by the square root of its largest entry."""
+    """Scales after one more Ruiz round: every row and column divided by the root of its largest entry."""
     links = scaled.links
     size = [
         jnp.max(jnp.abs(scaled.hessian), axis=1),
@@ -100,24 +109,25 @@ def _refine(scaled: StagedProgram, scales: Scales) -> Scales:
 
 
 def _cost_scale(scaled: StagedProgram, columns: Float[Array, "nodes variables"]) -> Scalar:
+    """1 / (largest entry of the linear cost), limited."""
     largest = jnp.max(jnp.abs(columns * scaled.gradient))
     if scaled.norm is not None:
         largest = jnp.maximum(largest, jnp.max(scaled.norm.weight))
-    # A cost without linear terms gives no hint: to take it for a tiny one would blow up the prices of the links.
+    # Without linear terms the cost has no known size. A tiny size would inflate the penalty weights of the links.
     return 1.0 / jnp.where(largest > 0, jnp.clip(largest, _LOWEST, _HIGHEST), 1.0)
 
 
 def _shrink(size: jax.Array) -> jax.Array:
-    """1 / sqrt(size), and one for rows or columns that are empty."""
-    return jnp.where(size > 1e-12, 1.0 / jnp.sqrt(jnp.maximum(size, 1e-12)), 1.0)
+    """1 / sqrt(size); one for empty rows and columns."""
+    return jnp.where(size > _EMPTY, 1.0 / jnp.sqrt(jnp.maximum(size, _EMPTY)), 1.0)
 
 
 def scaled_by(program: StagedProgram, s: Scales) -> StagedProgram:
-    """The program in the units of given scales; linear in its data, so that derivatives pass."""
+    """Program in the units of given scales; differentiable, as it is linear in the program's data."""
     columns_before = jnp.concatenate([jnp.ones_like(s.columns[:1]), s.columns])
     columns_after = jnp.concatenate([s.columns, jnp.ones_like(s.columns[:1])])
     links = program.links
-    # All soft rows of a link share one scale rho; |V nu| = |V rho nu| / rho keeps the cost unchanged.
+    # All soft rows of a link share one scale rho: |V nu| = |V rho nu| / rho preserves the cost.
     shared = jnp.max(jnp.where(links.soft > 0, s.links, 0.0), axis=1)
     shared = jnp.where(shared > 0, shared, 1.0)
     norm = program.norm

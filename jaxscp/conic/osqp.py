@@ -1,12 +1,11 @@
-"""OSQP on the quadratic form of a program: the interior point's interface, on the host.
+"""OSQP on the quadratic form of a program, with the interior point's interface; runs on the host.
 
-An operator-splitting method: thousands of cheap iterations to moderate accuracy. It serves as an independent
-second opinion, and wherever a plain quadratic program is wanted.
+OSQP is an operator-splitting method: thousands of cheap iterations to moderate accuracy. Here it checks the interior
+point independently, and solves wherever a plain quadratic program is preferred.
 
-It is quick where the cost is curved, slow where it is linear, as in the paper's mode, and proves infeasibility
-best when it scales the problem itself, which slows the rest. So there are three attempts, in the order of their
-cost, and the first that decides ends the matter; the last is the proximal-point method, each of whose rounds
-adds curvature about the round before and so is quick again.
+OSQP is fast with a quadratic cost and slow with a linear one, as in the paper's mode. It proves infeasibility best with
+its own scaling, which slows everything else. So there are up to three attempts, cheapest first, until one decides. The
+last attempt is the proximal-point method: each round adds curvature about the previous result, which is fast again.
 """
 
 from __future__ import annotations
@@ -25,8 +24,8 @@ from jaxscp.conic.quadratic import DEFAULT_FACETS, QuadraticProgram, quadratic_f
 from jaxscp.core.status import Status, StatusCode
 from jaxscp.core.types import Scalar
 
-# OSQP's own codes and what they are here; any other (a time limit, an interrupt) is too little progress.
-_MEANING = {
+# Status for each of OSQP's codes; any other code (a time limit, an interrupt) is insufficient progress.
+_STATUS_OF_CODE = {
     "OSQP_SOLVED": Status.converged,
     "OSQP_SOLVED_INACCURATE": Status.almost_converged,
     "OSQP_PRIMAL_INFEASIBLE": Status.infeasible,
@@ -41,7 +40,7 @@ _DECISIVE = ("OSQP_SOLVED", "OSQP_PRIMAL_INFEASIBLE", "OSQP_DUAL_INFEASIBLE")
 
 
 def _code(name: str) -> int:
-    """OSQP's number for one of its names."""
+    """OSQP's number of a named code."""
     import osqp
 
     return int(getattr(osqp.SolverStatus, name))
@@ -49,27 +48,27 @@ def _code(name: str) -> int:
 
 @dataclass(frozen=True)
 class QuadraticSolution:
-    """OSQP's answer to the quadratic form; zeros where it has none."""
+    """OSQP's solution of the quadratic form; zeros without one."""
 
     x: np.ndarray
     y: np.ndarray
     objective: float
     """Optimal value of the quadratic form: an upper bound of the given program's."""
     code: int
-    """One of OSQP's own, see ``status_of``."""
+    """OSQP's code, see ``status_of``."""
     iterations: int
 
 
 @dataclass(frozen=True)
 class _Attempt:
-    """One way to run OSQP."""
+    """Settings of one attempt."""
 
     scaling: int
-    """Rounds of OSQP's own scaling; none keeps the units of the quadratic form."""
+    """Rounds of OSQP's own scaling; zero keeps the units of the quadratic form."""
     iterations: int
     """Steps allowed in each round."""
     curvature: float = 0.0
-    """Of the proximal term; without one, a single round solves the problem."""
+    """Curvature of the proximal term; at zero a single round solves the problem."""
 
 
 _ATTEMPTS = (
@@ -80,18 +79,18 @@ _ATTEMPTS = (
 
 
 class OSQP(eqx.Module):
-    """OSQP on the quadratic form; runs on the host, also under ``jit`` and ``vmap`` (one lane after another).
+    """OSQP on the quadratic form; runs on the host, also under ``jit`` and ``vmap`` (batch elements in sequence).
 
-    ``ConicSolution.objective`` is the given program's cost of OSQP's z, so it compares with other solvers';
-    the optimal value of the quadratic form itself, which prices norms higher, is that of ``solve_quadratic``.
-    ``ConicSolution.multipliers`` are what the rows of the quadratic form contribute to stationarity, see
-    ``QuadraticProgram.multipliers``; where norms are active they differ from the given program's.
+    ``ConicSolution.objective`` is the given program's cost at OSQP's z, comparable with other solvers.
+    ``solve_quadratic`` has the optimal value of the quadratic form, whose norms cost more.
+    ``ConicSolution.multipliers`` are the contributions of the quadratic form's rows to stationarity
+    (``QuadraticProgram.multipliers``); where norms are active they differ from the given program's.
 
     Args:
         tolerance: OSQP's absolute and relative tolerance.
-        max_iterations: steps allowed in all.
-        facets: sides of the pyramid that stands for a cone of dimension 3.
-        polish: whether to solve once more on the guessed active constraints, for a more accurate answer.
+        max_iterations: steps allowed in all attempts together.
+        facets: sides of the pyramid that replaces a cone of dimension 3.
+        polish: whether to solve once more on the estimated active constraints, for a more accurate result.
 
     Example:
         >>> from jaxscp.conic import OSQP
@@ -106,12 +105,17 @@ class OSQP(eqx.Module):
     polish: bool = eqx.field(default=True, static=True)
 
     def __call__(
-        self, program: StagedProgram, accuracy: Scalar | float = 0.0, near: WarmStart | None = None
+        self,
+        program: StagedProgram,
+        accuracy: Scalar | float = 0.0,
+        warm_start: WarmStart | None = None,
     ) -> ConicSolution:
-        """Solve a program, to the tolerance whatever accuracy is enough and wherever the solution is thought to be;
-        ``z`` is always finite, ``status`` says what it is worth."""
-        given = (program.gradient, program.links.offset, program.rows.offset)
-        like = jax.tree.map(_shape, (*given, tuple(cone.offset for cone in program.cones)))
+        """Solution of a program; ``z`` is always finite, ``status`` says how OSQP ended.
+
+        OSQP's own tolerance holds: ``accuracy`` and ``warm_start`` are ignored.
+        """
+        arrays = (program.gradient, program.links.offset, program.rows.offset)
+        like = jax.tree.map(_shape, (*arrays, tuple(cone.offset for cone in program.cones)))
         count = jax.ShapeDtypeStruct((), jnp.int32)
         (z, *multipliers), code, iterations = jax.pure_callback(
             self._on_host, (like, count, count), program, vmap_method="sequential"
@@ -121,50 +125,50 @@ class OSQP(eqx.Module):
         )
 
     def _on_host(self, program: StagedProgram):
-        form, answer = self.solve_quadratic(program)
-        found = (form.node_variables(answer.x), *form.multipliers(answer.y))
-        return found, np.int32(answer.code), np.int32(answer.iterations)
+        form, solution = self.solve_quadratic(program)
+        arrays = (form.node_variables(solution.x), *form.multipliers(solution.y))
+        return arrays, np.int32(solution.code), np.int32(solution.iterations)
 
     def solve_quadratic(self, program: StagedProgram) -> tuple[QuadraticProgram, QuadraticSolution]:
-        """The quadratic form of a concrete program, and OSQP's answer to it."""
+        """Quadratic form of a concrete program, and OSQP's solution of it."""
         form = quadratic_form(program, self.facets)
         return form, self._solve(form)
 
     def _solve(self, form: QuadraticProgram) -> QuadraticSolution:
-        answer = _nothing(form, _code("OSQP_UNSOLVED"))
+        solution = _no_solution(form, _code("OSQP_UNSOLVED"))
         if not all(np.all(np.isfinite(v)) for v in (form.P.data, form.q, form.A.data, form.u)):
-            return answer
+            return solution
         spent = 0
         for attempt in _ATTEMPTS:
-            answer = self._attempt(form, attempt, self.max_iterations - spent)
-            spent += answer.iterations
-            if answer.code in map(_code, _DECISIVE) or spent >= self.max_iterations:
+            solution = self._attempt(form, attempt, self.max_iterations - spent)
+            spent += solution.iterations
+            if solution.code in map(_code, _DECISIVE) or spent >= self.max_iterations:
                 break
-        return replace(answer, iterations=spent)
+        return replace(solution, iterations=spent)
 
     def _attempt(self, form: QuadraticProgram, attempt: _Attempt, budget: int) -> QuadraticSolution:
-        """One round, or with curvature proximal-point rounds until one does not move."""
+        """Result of one round, or with curvature of proximal-point rounds until x converges."""
         curvature = np.zeros(form.q.size)
         curvature[: form.centre.size] = attempt.curvature
         solver = self._set_up(form, attempt, curvature, min(attempt.iterations, budget))
-        x, spent, lack = np.zeros(form.q.size), 0, np.inf
-        while lack > self.tolerance and spent < budget:
-            found = solver.solve(raise_error=False)
-            code, spent = int(found.info.status_val), spent + int(found.info.iter)
-            if not _is_finite(found):
-                return _nothing(form, code, spent)
-            # The proximal term's gradient is what a round's answer lacks of solving the problem itself.
-            lack = np.max(np.abs(curvature * (found.x - x)))
+        x, spent, residual = np.zeros(form.q.size), 0, np.inf
+        while residual > self.tolerance and spent < budget:
+            result = solver.solve(raise_error=False)
+            code, spent = int(result.info.status_val), spent + int(result.info.iter)
+            if not _is_finite(result):
+                return _no_solution(form, code, spent)
+            # The gradient of the proximal term is the dual residual of the problem without this term.
+            residual = np.max(np.abs(curvature * (result.x - x)))
             if attempt.curvature > 0.0 and code != _code("OSQP_SOLVED"):
-                lack = np.inf
-            x = found.x
+                residual = np.inf
+            x = result.x
             solver.update(q=form.q - curvature * x)
-        if lack > self.tolerance:
+        if residual > self.tolerance:
             code = _code("OSQP_MAX_ITER_REACHED")
-        return QuadraticSolution(x, found.y, form.objective(x), code, spent)
+        return QuadraticSolution(x, result.y, form.objective(x), code, spent)
 
     def _set_up(self, form: QuadraticProgram, attempt: _Attempt, curvature: np.ndarray, iterations: int):
-        import osqp  # here, since it is slow to import
+        import osqp  # slow to import
 
         solver = osqp.OSQP()
         solver.setup(
@@ -183,20 +187,20 @@ class OSQP(eqx.Module):
         return solver
 
 
-def _is_finite(found) -> bool:
-    return found.x is not None and bool(np.all(np.isfinite(found.x)) and np.all(np.isfinite(found.y)))
+def _is_finite(result) -> bool:
+    return result.x is not None and bool(np.all(np.isfinite(result.x)) and np.all(np.isfinite(result.y)))
 
 
 def status_of(code) -> StatusCode:
-    """The status that one of OSQP's codes stands for."""
+    """Status for one of OSQP's codes."""
     return reduce(
-        lambda found, name: Status.where(code == _code(name), _MEANING[name], found),
-        _MEANING,
+        lambda status, name: Status.where(code == _code(name), _STATUS_OF_CODE[name], status),
+        _STATUS_OF_CODE,
         Status.insufficient_progress,
     )
 
 
-def _nothing(form: QuadraticProgram, code: int, iterations: int = 0) -> QuadraticSolution:
+def _no_solution(form: QuadraticProgram, code: int, iterations: int = 0) -> QuadraticSolution:
     return QuadraticSolution(np.zeros(form.q.size), np.zeros(form.u.size), np.inf, code, iterations)
 
 

@@ -1,14 +1,14 @@
-"""A staged program as a quadratic program: min 1/2 x'Px + q'x subject to l <= A x <= u (OSQP's convention).
+"""Quadratic form of a staged program: min 1/2 x'Px + q'x subject to l <= A x <= u (OSQP's convention).
 
-Norms become polyhedral, each from the safe side:
+Norms become polyhedral, each conservatively:
 
-* a second-order cone of dimension 3 becomes the pyramid inside it over a regular polygon with a stated number
-  of facets; one of another dimension becomes the 1-norm cone inside it (the same cone, in dimension 2). What
-  the quadratic program allows, the given program allows;
-* virtual control and the trust region are priced by the 1-norm, which is never less than the Euclidean one.
+* A second-order cone of dimension 3 becomes a pyramid inside it, over a regular polygon with a given number of facets.
+  A cone of another dimension becomes the 1-norm cone inside it, which is the same cone in dimension 2. A point that is
+  feasible for the quadratic program is therefore feasible for the given program.
+* Virtual control and the trust region cost their 1-norm, which is at least the Euclidean norm.
 
-So its optimal value is an upper bound of the given program's. Variables are measured from the trust region's
-centre, near which the solution lies: splitting methods, which start at zero, then need far fewer iterations.
+So the optimal value is an upper bound of the given program's. The trust region's centre is the origin of the variables,
+since the solution lies near it: splitting methods, which start at zero, then need far fewer iterations.
 """
 
 from __future__ import annotations
@@ -33,91 +33,95 @@ from jaxscp.conic.sparse import (
     stack_rows,
 )
 
-DEFAULT_FACETS = 16  # of the pyramid in a cone: it loses 1 - cos(pi / 16), 2 per cent, of the radius
-# Rows of the links are multiplied by this. An operator-splitting method weighs all rows by one penalty: on
-# subproblems with a price of 1000 for virtual control, 10 to 100 serve best; 1 and 1000 are far slower.
+DEFAULT_FACETS = (
+    16  # of a pyramid, whose inner radius is 1 - cos(pi / 16), 2 per cent, smaller than the cone's
+)
+# Factor of the links' rows. An operator-splitting method has one penalty for all rows. On subproblems whose virtual
+# control has penalty weight 1000, factors of 10 to 100 are best; 1 and 1000 are far slower.
 LINK_SCALE = 30.0
 
 
 @dataclass(frozen=True)
 class _Block:
-    """Inequalities ``mix (offset - matrix z) <= own a`` over rows of the program and the block's own a."""
+    """Inequalities ``combination (offset - matrix z) <= auxiliary a`` with the block's auxiliary variables a."""
 
     rows: AffineRows
-    mix: Sparse
-    own: Sparse
-    """One column for each of a, the block's further variables: absolute values of rows."""
+    combination: Sparse
+    auxiliary: Sparse
+    """One column for each auxiliary variable, the absolute value of a row."""
     cost: np.ndarray
-    """Price of each of a."""
+    """Cost of each auxiliary variable."""
 
     def multipliers(self, y: np.ndarray) -> np.ndarray:
-        """Multipliers of the given program's rows: what they contribute to stationarity."""
-        return -(self.mix.T @ y)
+        """Multipliers of the given program's rows: their contribution to stationarity."""
+        return -(self.combination.T @ y)
 
 
 @dataclass(frozen=True)
 class QuadraticProgram:
-    """The quadratic form; its variables are all nodes' z - centre, then absolute values of rows in norms."""
+    """Quadratic form; its variables are z - centre of all nodes, then the auxiliary variables of all blocks."""
 
-    hard: AffineRows
-    """Equalities."""
+    equalities: AffineRows
+    """Hard rows of the links."""
     blocks: tuple[_Block, ...]
     """Inequalities: half-spaces, cones, trust region, virtual control."""
     P: Sparse
     """Upper triangle of the cost's Hessian."""
     q: np.ndarray
     centre: np.ndarray
-    """(nodes, variables): the z that zero stands for."""
+    """Origin of the variables, (nodes, variables)."""
     constant: float
-    """Cost of the centre, which P and q leave out."""
+    """Cost at the centre, a constant term beside P and q."""
     program: Numpy
-    """The given program, in NumPy."""
+    """The given program, with NumPy arrays."""
 
     @cached_property
     def A(self) -> Sparse:
         """Constraint matrix."""
-        of_z = scipy.sparse.vstack([self.hard.matrix, *(-(b.mix @ b.rows.matrix) for b in self.blocks)])
-        none = scipy.sparse.csr_matrix((self.hard.offset.size, 0))
-        return scipy.sparse.hstack(
-            [of_z, scipy.sparse.block_diag([none, *(-b.own for b in self.blocks)])], format="csc"
-        )
+        of_z = [self.equalities.matrix, *(-(b.combination @ b.rows.matrix) for b in self.blocks)]
+        of_equalities = scipy.sparse.csr_matrix((self.equalities.offset.size, 0))
+        of_auxiliary = scipy.sparse.block_diag([of_equalities, *(-b.auxiliary for b in self.blocks)])
+        return scipy.sparse.hstack([scipy.sparse.vstack(of_z), of_auxiliary], format="csc")
 
     @cached_property
     def u(self) -> np.ndarray:
         """Upper bounds."""
-        return np.concatenate([self.hard.offset, *(-(b.mix @ b.rows.offset) for b in self.blocks)])
+        return np.concatenate(
+            [self.equalities.offset, *(-(b.combination @ b.rows.offset) for b in self.blocks)]
+        )
 
     @cached_property
     def l(self) -> np.ndarray:  # noqa: E743
         """Lower bounds."""
-        equalities = self.hard.offset.size
-        return np.concatenate([self.u[:equalities], np.full(self.u.size - equalities, -np.inf)])
+        count = self.equalities.offset.size
+        return np.concatenate([self.u[:count], np.full(self.u.size - count, -np.inf)])
 
     def objective(self, x: np.ndarray) -> float:
         """Cost of a vector of all variables."""
-        curved = self.P @ x + self.P.T @ x - self.P.diagonal() * x
-        return float(0.5 * x @ curved + self.q @ x) + self.constant
+        hessian_x = self.P @ x + self.P.T @ x - self.P.diagonal() * x
+        return float(0.5 * x @ hessian_x + self.q @ x) + self.constant
 
     def node_variables(self, x: np.ndarray) -> np.ndarray:
         """z of a solution vector, (nodes, variables)."""
         return self.centre + x[: self.centre.size].reshape(self.centre.shape)
 
     def multipliers(self, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, ...]]:
-        """Multipliers of the given program's links, half-spaces and cones from those of the rows of A.
+        """Multipliers of the given program's links, half-spaces and cones, from the multipliers of A's rows.
 
-        Each is what its row contributes to stationarity, so that those of hard links, half-spaces and cones
-        are multipliers in the usual sense; those of soft links are bounded by the price component by
-        component, where the given program bounds their Euclidean norm. The trust region's have no place here.
+        Each multiplier is its row's contribution to stationarity. For hard rows, half-spaces and cones, this is the
+        usual multiplier. For soft rows, each component is bounded by the penalty weight; the given program bounds the
+        Euclidean norm instead. The trust region's multipliers are left out.
         """
         p = self.program
         links, rows = np.zeros(p.links.offset.size), np.zeros(p.rows.offset.size)
         cones = [np.zeros(group.offset.size) for group in p.cones]
-        owners = [rows, *(cone for cone, group in zip(cones, p.cones, strict=True) for _ in cone_rows(group))]
-        owners += [np.zeros(p.gradient.size), links]
-        parts = np.split(y, np.cumsum([self.hard.offset.size, *(b.mix.shape[0] for b in self.blocks[:-1])]))
-        links[self.hard.origin] = parts[0]
-        for owner, block, part in zip(owners, self.blocks, parts[1:], strict=True):
-            owner[block.rows.origin] = block.multipliers(part)
+        targets = [rows, *(y for y, group in zip(cones, p.cones, strict=True) for _ in cone_rows(group))]
+        targets += [np.zeros(p.gradient.size), links]
+        sizes = [self.equalities.offset.size, *(b.combination.shape[0] for b in self.blocks[:-1])]
+        parts = np.split(y, np.cumsum(sizes))
+        links[self.equalities.origin] = parts[0]
+        for target, block, part in zip(targets, self.blocks, parts[1:], strict=True):
+            target[block.rows.origin] = block.multipliers(part)
         return (
             LINK_SCALE * links.reshape(p.links.offset.shape),
             rows.reshape(p.rows.offset.shape),
@@ -126,10 +130,10 @@ class QuadraticProgram:
 
 
 def quadratic_form(program: StagedProgram, facets: int = DEFAULT_FACETS) -> QuadraticProgram:
-    """The quadratic form of a concrete (not traced) program.
+    """Quadratic form of a concrete (not traced) program.
 
     Args:
-        program: what to approximate.
+        program: the program to approximate.
         facets: sides of the pyramid in each cone of dimension 3.
 
     Example:
@@ -143,17 +147,17 @@ def quadratic_form(program: StagedProgram, facets: int = DEFAULT_FACETS) -> Quad
     hard, soft = link_rows(p.links, np.full(len(p.links.weight), LINK_SCALE))
     blocks = [_half_spaces(node_rows(p.rows))]
     blocks += [_cone(rows, facets) for group in p.cones for rows in cone_rows(group)]
-    blocks.append(_absolute(norm_rows(p), [] if p.norm is None else p.norm.weight, p.gradient.size))
-    blocks.append(_absolute(soft, p.links.weight / LINK_SCALE, p.gradient.size))
-    own = np.concatenate([block.cost for block in blocks])
-    curved = np.einsum("kij,kj->ki", p.hessian, centre)
+    blocks.append(_one_norms(norm_rows(p), [] if p.norm is None else p.norm.weight, p.gradient.size))
+    blocks.append(_one_norms(soft, p.links.weight / LINK_SCALE, p.gradient.size))
+    cost = np.concatenate([block.cost for block in blocks])
+    hessian_centre = np.einsum("kij,kj->ki", p.hessian, centre)
     return QuadraticProgram(
-        hard=hard.about(centre.ravel()),
-        blocks=tuple(replace(block, rows=block.rows.about(centre.ravel())) for block in blocks),
-        P=hessian(p, own.size),
-        q=np.concatenate([(p.gradient + curved).ravel(), own]),
+        equalities=hard.recentred(centre.ravel()),
+        blocks=tuple(replace(block, rows=block.rows.recentred(centre.ravel())) for block in blocks),
+        P=hessian(p, cost.size),
+        q=np.concatenate([(p.gradient + hessian_centre).ravel(), cost]),
         centre=centre,
-        constant=float(np.vdot(p.gradient + 0.5 * curved, centre)),
+        constant=float(np.vdot(p.gradient + 0.5 * hessian_centre, centre)),
         program=p,
     )
 
@@ -165,11 +169,11 @@ def _half_spaces(rows: AffineRows) -> _Block:
     )
 
 
-def _absolute(groups: list[AffineRows], prices, columns: int) -> _Block:
-    """Bound the absolute value of every row, at the price of its group."""
+def _one_norms(groups: list[AffineRows], weights, columns: int) -> _Block:
+    """Weighted 1-norms of groups of rows: |row| <= a, at the weight of its group."""
     rows = stack_rows(groups, columns)
     eye = scipy.sparse.eye(rows.offset.size, format="csr")
-    cost = np.repeat(np.asarray(prices, float), [group.offset.size for group in groups])
+    cost = np.repeat(np.asarray(weights, float), [group.offset.size for group in groups])
     return _Block(
         rows,
         scipy.sparse.vstack([eye, -eye], format="csr"),
@@ -183,17 +187,19 @@ def _cone(rows: AffineRows, facets: int) -> _Block:
 
 
 def _pyramid(rows: AffineRows, facets: int) -> _Block:
-    """n_i . v <= t cos(pi / facets) for unit normals n_i all around: inscribed in |v| <= t."""
+    """Pyramid n_i . v <= t cos(pi / facets), inscribed in |v| <= t, for unit normals n_i at equal angles."""
     angle = 2.0 * np.pi * np.arange(facets) / facets
     head = np.full(facets, -np.cos(np.pi / facets))
-    mix = scipy.sparse.csr_matrix(np.stack([head, np.cos(angle), np.sin(angle)], axis=1))
-    return _Block(rows, mix, scipy.sparse.csr_matrix((facets, 0)), np.zeros(0))
+    combination = scipy.sparse.csr_matrix(np.stack([head, np.cos(angle), np.sin(angle)], axis=1))
+    return _Block(rows, combination, scipy.sparse.csr_matrix((facets, 0)), np.zeros(0))
 
 
 def _one_norm_cone(rows: AffineRows) -> _Block:
-    """|v_j| <= a_j and sum a_j <= t."""
+    """1-norm cone |v_j| <= a_j, sum a_j <= t, inscribed in |v| <= t."""
     tail = rows.offset.size - 1
     eye, column = np.eye(tail), np.zeros((tail, 1))
-    mix = np.block([[column, eye], [column, -eye], [-np.ones((1, 1)), np.zeros((1, tail))]])
-    own = np.concatenate([eye, eye, -np.ones((1, tail))])
-    return _Block(rows, scipy.sparse.csr_matrix(mix), scipy.sparse.csr_matrix(own), np.zeros(tail))
+    combination = np.block([[column, eye], [column, -eye], [-np.ones((1, 1)), np.zeros((1, tail))]])
+    auxiliary = np.concatenate([eye, eye, -np.ones((1, tail))])
+    return _Block(
+        rows, scipy.sparse.csr_matrix(combination), scipy.sparse.csr_matrix(auxiliary), np.zeros(tail)
+    )

@@ -7,9 +7,9 @@ from jaxscp.conic.program import Cones, CouplingRows, HalfSpaceRows, NormCost, S
 
 
 def smallest_program() -> StagedProgram:
-    """Two nodes of (position, force): from 0 to 1 in one step of ``x_1 = x_0 + u_0``, |u| <= 2, least u^2.
+    """Program of two nodes (position x, force u): least u^2 from x_0 = 0 to x_1 = 1, x_1 = x_0 + u_0, |u| <= 2.
 
-    The optimum is u_0 = 1, u_1 = 0 with cost 1/2; the step has virtual control, which it does not need.
+    The optimum is u_0 = 1, u_1 = 0 with cost 1/2. The step may use virtual control, but the optimum does not.
 
     Example:
         >>> from jaxscp.conic.random_programs import smallest_program
@@ -44,18 +44,18 @@ def random_program(
     norm: bool = True,
     kind: str = "feasible",
 ) -> StagedProgram:
-    """A random program whose answer's kind is known by construction.
+    """Random program that is feasible, infeasible or unbounded by construction.
 
     Args:
-        seed: of the random numbers.
-        nodes: N.
-        variables: size of z at a node; links have half as many rows, the first of them with virtual control.
-        rows: half-spaces at a node, two at least.
-        cones: second-order cones of dimension 3 at a node.
+        seed: seed of the random numbers.
+        nodes: number of nodes N.
+        variables: variables of a node. A link has half as many rows; the first has virtual control.
+        rows: half-spaces of a node, at least two.
+        cones: second-order cones of dimension 3 of a node.
         norm: whether the cost is linear with a trust-region norm; quadratic otherwise.
-        kind: ``feasible`` (with a point inside every constraint and a bounded cost), ``infeasible`` (two
-            half-spaces of the second node contradict each other) or ``unbounded`` (nothing but the cost
-            sees the first variable of the second node).
+        kind: ``feasible``, ``infeasible`` or ``unbounded``. Feasible: a point is inside every constraint, and the cost
+            is bounded. Infeasible: two half-spaces of the second node contradict each other. Unbounded: only the cost
+            depends on the first variable of the second node.
 
     Example:
         >>> from jaxscp.conic.random_programs import random_program
@@ -81,16 +81,17 @@ def random_program(
     )
 
 
-def _random_links(random: np.random.Generator, point: np.ndarray, seen: np.ndarray) -> CouplingRows:
+def _random_links(random: np.random.Generator, point: np.ndarray, used: np.ndarray) -> CouplingRows:
+    """Links that virtual control satisfies at a point; ``used`` masks the variables that they depend on."""
     nodes, variables = point.shape
     shape = (nodes + 1, variables // 2, variables)
     before, after = random.standard_normal(shape), random.standard_normal(shape)
     before[0], after[-1] = 0.0, 0.0
-    before[1:] *= seen[:, None]
-    after[:-1] *= seen[:, None]
+    before[1:] *= used[:, None]
+    after[:-1] *= used[:, None]
     soft = np.zeros(shape[:2])
     soft[1:-1, 0] = 1.0
-    offset = 0.3 * soft * random.standard_normal(shape[:2])  # what the point leaves to virtual control
+    offset = 0.3 * soft * random.standard_normal(shape[:2])  # virtual control at the point
     offset[1:] += np.einsum("krn,kn->kr", before[1:], point)
     offset[:-1] += np.einsum("krn,kn->kr", after[:-1], point)
     weight = random.uniform(1.0, 5.0, nodes + 1)
@@ -98,18 +99,20 @@ def _random_links(random: np.random.Generator, point: np.ndarray, seen: np.ndarr
 
 
 def _random_rows(
-    random: np.random.Generator, point: np.ndarray, seen: np.ndarray, rows: int, contradictory: bool
+    random: np.random.Generator, point: np.ndarray, used: np.ndarray, rows: int, contradictory: bool
 ) -> HalfSpaceRows:
-    matrix = random.standard_normal((len(point), rows, point.shape[1])) * seen[:, None]
+    """Half-spaces with a point inside; contradictory: two of the second node exclude each other."""
+    matrix = random.standard_normal((len(point), rows, point.shape[1])) * used[:, None]
     offset = np.einsum("krn,kn->kr", matrix, point) + random.uniform(0.1, 1.0, (len(point), rows))
     if contradictory:
         matrix[1, 1], offset[1, 1] = -matrix[1, 0], -offset[1, 0] - random.uniform(0.1, 1.0)
     return HalfSpaceRows(jnp.asarray(matrix), jnp.asarray(offset))
 
 
-def _random_cones(random: np.random.Generator, point: np.ndarray, seen: np.ndarray, cones: int) -> Cones:
+def _random_cones(random: np.random.Generator, point: np.ndarray, used: np.ndarray, cones: int) -> Cones:
+    """Second-order cones of dimension 3 with a point inside."""
     nodes, variables = point.shape
-    matrix = random.standard_normal((nodes, cones, 3, variables)) * seen[:, None, None]
+    matrix = random.standard_normal((nodes, cones, 3, variables)) * used[:, None, None]
     slack = random.uniform(-0.5, 0.5, (nodes, cones, 3))
     slack[..., 0] += 1.5
     offset = np.einsum("kcdn,kn->kcd", matrix, point) + slack
@@ -117,10 +120,10 @@ def _random_cones(random: np.random.Generator, point: np.ndarray, seen: np.ndarr
 
 
 def _random_norm(
-    random: np.random.Generator, point: np.ndarray, gradient: np.ndarray, seen: np.ndarray
+    random: np.random.Generator, point: np.ndarray, gradient: np.ndarray, used: np.ndarray
 ) -> NormCost:
-    """A norm that outweighs the gradient, so that the cost is bounded."""
-    scale = random.uniform(0.5, 2.0, point.shape) * seen
-    slope = np.linalg.norm(seen * gradient / np.where(scale > 0, scale, 1.0), axis=1)
+    """Norm whose weight exceeds the gradient, so that the cost is bounded."""
+    scale = random.uniform(0.5, 2.0, point.shape) * used
+    slope = np.linalg.norm(used * gradient / np.where(scale > 0, scale, 1.0), axis=1)
     centre = point + 0.5 * random.standard_normal(point.shape)
     return NormCost(*map(jnp.asarray, (1.0 + 2.0 * slope, scale, centre)))

@@ -1,22 +1,32 @@
 # Imported when first used: see ``__init__.py``.
 
+from .build import CorridorOptions as CorridorOptions
 from .build import CorridorResult as CorridorResult
 from .build import CorridorStatus as CorridorStatus
 from .build import build_corridor as build_corridor
-from .build import pad as pad
 from .cells import Chain as Chain
 from .cells import chain as chain
 from .clouds import PointCloud as PointCloud
+from .clouds import Provenance as Provenance
 from .decompose import Cell as Cell
 from .decompose import Decomposition as Decomposition
 from .decompose import EllipsoidDecomposition as EllipsoidDecomposition
 from .decompose import InflationFIRI as InflationFIRI
 from .drawing import draw as draw
+from .file_content import CloudFileError as CloudFileError
+from .file_content import FileLayout as FileLayout
+from .map_picture import draw_map as draw_map
+from .map_report import MapError as MapError
+from .map_report import MapReport as MapReport
+from .map_report import map_report as map_report
+from .obstacles import Obstacles as Obstacles
+from .obstacles import inside_corridor as inside_corridor
+from .obstacles import obstacles_near as obstacles_near
+from .padding import pad as pad
+from .polytope import Polytope as Polytope
+from .polytope import box as box
 from .polytopes import Corridor as Corridor
-from .polytopes import Polytope as Polytope
-from .polytopes import box as box
 from .polytopes import connect as connect
-from .reading import CloudFileError as CloudFileError
 from .reading import read_cloud as read_cloud
 from .route import NoRoute as NoRoute
 from .route import Route as Route

@@ -1,25 +1,31 @@
 """The front door: a cloud and two places in, a corridor out, or the reason why there is none."""
 
+import warnings
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from numpy.typing import ArrayLike
 
-from jaxscp.corridor.cells import cells_along, consecutive_overlaps
+from jaxscp.corridor.cells import cells_along
 from jaxscp.corridor.clouds import PointCloud
+from jaxscp.corridor.decks import Deck, obstacles_of_leg, split_decks
 from jaxscp.corridor.decompose import Cell, Decomposition, InflationFIRI
-from jaxscp.corridor.polytopes import Corridor, Polytope
+from jaxscp.corridor.extent import Triple
+from jaxscp.corridor.gaps import with_closed_gaps
+from jaxscp.corridor.limits import Limits, flyable
+from jaxscp.corridor.map_report import MapError, MapReport, map_report
+from jaxscp.corridor.padding import pad as pad
+from jaxscp.corridor.polytope import Polytope
+from jaxscp.corridor.polytopes import Corridor
+from jaxscp.corridor.pruning import Segments, chosen, packed, without_redundant
 from jaxscp.corridor.route import NoRoute, Route, find_route
-from jaxscp.corridor.shapes import needed_faces
+from jaxscp.corridor.search_space import nearest_on_segment
 
 _HALVINGS = 3
-
-Segments = Float[np.ndarray, "segments 2 3"]
 
 
 class CorridorStatus(eqx.Enumeration):
@@ -35,7 +41,7 @@ class CorridorStatus(eqx.Enumeration):
 
 
 class CorridorResult(eqx.Module):
-    """A corridor, where it came from, and what is to be said about it."""
+    """A corridor, its route, and how building it ended."""
 
     corridor: Corridor | None
     """The polytopes, or None without a route. Trust it only where ``status`` is ``found``."""
@@ -49,6 +55,10 @@ class CorridorResult(eqx.Module):
     """The leg inside each polytope, (polytopes, 2, 3), metres, before padding."""
     overlaps: Float[np.ndarray, "joints"]
     """Radius in metres of the widest ball in each consecutive overlap, before padding."""
+    report: MapReport
+    """Facts about the map."""
+    closed_gap: float = 0.0
+    """Longest gap between neighbouring points that was closed, metres."""
 
     @property
     def found(self) -> bool:
@@ -56,50 +66,76 @@ class CorridorResult(eqx.Module):
         return bool(self.status == CorridorStatus.found)
 
 
+class CorridorOptions(eqx.Module):
+    """Options of ``build_corridor``."""
+
+    method: Decomposition = InflationFIRI()
+    """How to make a polytope: this, or ``EllipsoidDecomposition()``."""
+    clearance: float = 0.1
+    """Radius of the ball that consecutive overlaps must hold, metres."""
+    lower: Triple | None = None
+    """Lower corner of the volume for the vehicle's centre, (3,), metres; None: that of the map."""
+    upper: Triple | None = None
+    """Upper corner of that volume, (3,), metres; None: that of the map."""
+    remove: Sequence[Polytope] = ()
+    """Regions whose points are no obstacles. One that holds start or goal is its deck."""
+    voxel: float | None = 0.1
+    """Edge of the voxels that the cloud is thinned by, metres; None takes it as it is."""
+    longest: float = 6.0
+    """Longer legs are halved, metres."""
+    cell: float | None = None
+    """Edge of the voxels of the route search, metres; None chooses."""
+    polytopes: int | None = None
+    """Pad to this many by repeating the last one, with the goal as joint."""
+    faces: int | None = None
+    """Pad to this many rows."""
+    close_gaps: bool = True
+    """Close gaps between neighbours on a sparse surface where the vehicle would pass."""
+
+    def __check_init__(self):
+        """Refuse corners that are not three coordinates."""
+        for name in ("lower", "upper"):
+            if getattr(self, name) is not None:
+                _point(name, getattr(self, name))
+
+    def limits(self, cloud: PointCloud, start: np.ndarray, goal: np.ndarray, radius: float) -> Limits | None:
+        """Volume for the vehicle's centre: as asked for, else the map's box; None in free space without limits."""
+        if cloud.count == 0 and self.lower is None and self.upper is None:
+            return None
+        box = flyable(cloud, start, goal, radius)
+        lower = box.lower if self.lower is None else np.asarray(self.lower, float)
+        upper = box.upper if self.upper is None else np.asarray(self.upper, float)
+        return Limits(lower, upper)
+
+
 def build_corridor(
-    cloud: PointCloud,
-    start: ArrayLike,
-    goal: ArrayLike,
-    radius: float,
-    *,
-    method: Decomposition | None = None,
-    clearance: float = 0.1,
-    lower: ArrayLike | None = None,
-    upper: ArrayLike | None = None,
-    remove: Sequence[Polytope] = (),
-    voxel: float | None = 0.1,
-    longest: float = 6.0,
-    cell: float | None = None,
-    polytopes: int | None = None,
-    faces: int | None = None,
+    cloud: PointCloud, start: Triple, goal: Triple, radius: float, **options: Any
 ) -> CorridorResult:
     """Safe flight corridor from start to goal through a point cloud.
 
-    The cloud is thinned, a route searched and shortened, one polytope made about each leg, and polytopes
-    left out whose neighbours overlap about as widely without them; where the method's planes do not suffice,
-    a polytope is made in a smaller box. No polytope comes nearer than ``radius``
-    to a point of the cloud as it was given. Between legs the route keeps ``radius + clearance``, every
-    polytope holds a capsule of radius ``clearance`` about such a leg, and so consecutive ones overlap in a
-    ball of that radius without any repair; legs that end at a tight start or goal can fall short, which the
-    status tells.
+    The map is judged first. Then the cloud is thinned, a route searched and shortened, and one polytope made about
+    each leg. Polytopes are left out whose neighbours overlap about as widely without them. Where the method's planes
+    do not suffice, a polytope is made in a smaller box.
+
+    No polytope comes nearer than ``radius`` to a point of the cloud as it was given. Between legs the route keeps
+    ``radius + clearance``, and every polytope holds a capsule of radius ``clearance`` about such a leg. So
+    consecutive ones overlap in a ball of that radius. Legs that end at a tight start or goal can have less, which
+    the status tells.
+
+    Nobody saw whether space outside the map is free, so its box bounds the corridor, and its lowest point is the
+    floor. State ``lower`` and ``upper`` to fly outside. A region of ``remove`` that holds start or goal is its deck:
+    points of it count as obstacles for all legs but the one from there, which does not go behind the deck.
 
     Args:
         cloud: obstacles; an empty one is free space.
         start: (3,) metres.
         goal: (3,) metres.
         radius: safety radius of the vehicle, metres.
-        method: ``InflationFIRI()`` by default, or ``EllipsoidDecomposition()``.
-        clearance: radius of the ball that consecutive overlaps must hold, metres.
-        lower: (3,) lower corner of the volume that the vehicle's centre may use, metres; None: no limit.
-        upper: (3,) its upper corner, metres; None: no limit.
-        remove: regions whose points are no obstacles, such as the carrier's own deck.
-        voxel: edge of the voxels that the cloud is thinned by, metres; None takes it as it is.
-        longest: longer legs are halved, metres.
-        cell: edge of the voxels of the route search, metres; None chooses.
-        polytopes: pad to this many by repeating the last one, with the goal as joint.
-        faces: pad to this many rows.
+        options: fields of ``CorridorOptions``: method, clearance, lower, upper, remove, voxel, longest, cell,
+            polytopes, faces, close_gaps.
 
     Raises:
+        MapError: the map contradicts its unit, its frame, or the place of the flight; a ``ValueError``.
         ValueError: start or goal is nearer to an obstacle than the radius (the message says how near), is
             outside the limits, or more polytopes or faces are needed than ``polytopes`` or ``faces``.
         ImportError: scikit-image, of the extra ``clouds``, is not installed.
@@ -108,38 +144,61 @@ def build_corridor(
         >>> import jaxscp, numpy as np
         >>> wall = [[0.0, y, z] for y in np.arange(-3, 3, 0.1) for z in np.arange(-3, 3, 0.1)]
         >>> cloud = jaxscp.corridor.PointCloud.of(wall)
-        >>> result = jaxscp.corridor.build_corridor(cloud, [-2, 0, 0], [2, 0, 0], radius=0.3)
+        >>> around = {"lower": [-4, -5, -3], "upper": [4, 5, 3]}
+        >>> result = jaxscp.corridor.build_corridor(cloud, [-2, 0, 0], [2, 0, 0], radius=0.3, **around)
         >>> result.found, result.corridor.count >= 2, bool(result.overlaps.min() >= 0.1)
         (True, True, True)
     """
-    method = InflationFIRI() if method is None else method
+    settings = CorridorOptions(**options)
     first, last = _point("start", start), _point("goal", goal)
-    low = None if lower is None else _point("lower", lower)
-    high = None if upper is None else _point("upper", upper)
-    for region in remove:
-        cloud = cloud.without(region)
-    if voxel is not None:
-        cloud = cloud.thinned(voxel)
-    route = find_route(cloud, first, last, radius, clearance=clearance, lower=low, upper=high, cell=cell)
+    report = map_report(cloud, first, last, radius, lower=settings.lower, upper=settings.upper)
+    if report.refused:
+        raise MapError(f"{report.source}: {'; '.join(report.refused)}")
+    for warning in report.warnings:
+        warnings.warn(f"{report.source}: {warning}", stacklevel=2)
+    limits = settings.limits(cloud, first, last, radius)
+    thinned, decks, longest_gap = _prepared(settings, cloud, (first, last), radius)
+    lower, upper = (None, None) if limits is None else limits
+    clearance = settings.clearance
+    route = find_route(
+        thinned,
+        first,
+        last,
+        radius,
+        clearance=clearance,
+        lower=lower,
+        upper=upper,
+        cell=settings.cell,
+        decks=decks,
+    )
     if isinstance(route, NoRoute):
-        return CorridorResult(
-            None,
-            route,
-            CorridorStatus.no_route,
-            f"no route: {route.reason}",
-            np.empty((0, 2, 3)),
-            np.empty(0),
-        )
-    seeds = legs(route.points, longest)
-    cells = _resolved(method, seeds, cloud, radius, clearance, low, high)
-    kept, balls = _without_redundant(cells.polytope, clearance)
+        nothing = np.empty((0, 2, 3)), np.empty(0)
+        reason = f"no route: {route.reason}"
+        return CorridorResult(None, route, CorridorStatus.no_route, reason, *nothing, report, longest_gap)
+    seeds = legs(route.points, settings.longest)
+    cells = _cells(settings, seeds, thinned, decks, radius, limits)
+    kept, balls = without_redundant(cells.polytope, clearance)
     seeds = seeds[kept]
-    corridor = _packed(_chosen(cells.polytope, kept), seeds, balls[:, :3])
+    corridor = packed(chosen(cells.polytope, kept), seeds, balls[:, :3])
     status, message = _verdict(cells.left, balls[:, 3], clearance, corridor.count)
-    return CorridorResult(pad(corridor, last, polytopes, faces), route, status, message, seeds, balls[:, 3])
+    padded = pad(corridor, last, settings.polytopes, settings.faces)
+    return CorridorResult(padded, route, status, message, seeds, balls[:, 3], report, longest_gap)
 
 
-def _point(name: str, value: ArrayLike) -> Float[np.ndarray, "3"]:
+def _prepared(
+    options: CorridorOptions, cloud: PointCloud, ends: tuple[np.ndarray, np.ndarray], radius: float
+) -> tuple[PointCloud, tuple[Deck | None, Deck | None], float]:
+    """The thinned cloud without gaps or removed regions, the decks in it, and the longest gap closed, metres."""
+    thinned = cloud if options.voxel is None else cloud.thinned(options.voxel)
+    closed, gap = with_closed_gaps(thinned, radius) if options.close_gaps else (thinned, 0.0)
+    if not options.remove:
+        return closed, (None, None), gap
+    if gap:
+        return *split_decks(closed, options.remove, ends, radius, None), gap
+    return *split_decks(cloud, options.remove, ends, radius, options.voxel), gap
+
+
+def _point(name: str, value: Triple) -> Float[np.ndarray, "3"]:
     point = np.asarray(value, float)
     if point.shape != (3,):
         raise ValueError(f"{name} must be three coordinates in metres, got shape {point.shape}")
@@ -161,8 +220,38 @@ def legs(route: Float[np.ndarray, "vertices 3"], longest: float) -> Segments:
     return np.concatenate(parts)
 
 
-def _resolved(method, segments, cloud, radius, clearance, lower, upper) -> Cell:
+def _cells(
+    options: CorridorOptions,
+    seeds: Segments,
+    cloud: PointCloud,
+    decks: tuple[Deck | None, Deck | None],
+    radius: float,
+    limits: Limits | None,
+) -> Cell:
+    """Cells along all legs; those from a deck have obstacles and limits of their own."""
+    own: dict[int, list[tuple[Deck, np.ndarray]]] = {}
+    for deck, leg, end in zip(decks, (0, len(seeds) - 1), (seeds[0, 0], seeds[-1, 1]), strict=True):
+        if deck is not None:
+            own.setdefault(leg, []).append((deck, end))
+    others = [leg for leg in range(len(seeds)) if leg not in own]
+    parts = {} if not others else {tuple(others): _resolved(options, seeds[others], cloud, radius, limits)}
+    for leg, ends in own.items():
+        bounds = limits or Limits(np.full(3, -np.inf), np.full(3, np.inf))
+        for deck, end in ends:
+            bounds = deck.limits(bounds, end)
+        nearest = nearest_on_segment(cloud.points, *seeds[leg])
+        obstacles = obstacles_of_leg(cloud, [deck for deck, _ in ends], nearest, radius)
+        parts[(leg,)] = _resolved(options, seeds[leg : leg + 1], obstacles, radius, bounds)
+    order = np.argsort(np.concatenate([np.array(legs) for legs in parts]))
+    return jax.tree.map(lambda *rows: np.concatenate(rows)[order], *parts.values())
+
+
+def _resolved(
+    options: CorridorOptions, segments: Segments, cloud: PointCloud, radius: float, limits: Limits | None
+) -> Cell:
     """Cells along segments; those that left points inside are made again in a box of half the reach."""
+    method, clearance = options.method, options.clearance
+    lower, upper = (None, None) if limits is None else limits
     cells = cells_along(method, segments, cloud, radius, clearance, lower, upper)
     for _ in range(_HALVINGS):
         again = np.flatnonzero(cells.left)
@@ -179,106 +268,6 @@ def _replaced(array: np.ndarray, rows: np.ndarray, new: np.ndarray) -> np.ndarra
     array = array.copy()
     array[rows] = new
     return array
-
-
-_overlaps = jax.jit(consecutive_overlaps, static_argnames="skip")
-
-
-def _balls(polytopes: Polytope, skip: int) -> Float[np.ndarray, "pairs 4"]:
-    """Centre and radius of the widest ball in each overlap; rows padded so that few shapes are compiled."""
-    count = len(polytopes.offsets)
-    if count <= skip:
-        return np.empty((0, 4))
-    padded = jax.tree.map(
-        lambda rows: np.concatenate([rows, np.repeat(rows[-1:], -count % 8, axis=0)]), polytopes
-    )
-    ball = _overlaps(jax.tree.map(jnp.asarray, padded), skip=skip)
-    found = np.concatenate([np.asarray(ball.centre), np.asarray(ball.radius)[:, None]], axis=1)
-    return found[: count - skip].astype(float)
-
-
-def _without_redundant(
-    polytopes: Polytope, clearance: float
-) -> tuple[list[int], Float[np.ndarray, "joints 4"]]:
-    """Which polytopes to keep, and the overlaps between those."""
-    kept = list(range(len(polytopes.offsets)))
-    while True:
-        left = _chosen(polytopes, kept)
-        near, far = _balls(left, 1), _balls(left, 2)
-        dropped = _droppable(near[:, 3], far[:, 3], clearance)
-        if not dropped:
-            return kept, near
-        kept = [kept[place] for place in range(len(kept)) if place not in dropped]
-
-
-def _chosen(polytopes: Polytope, kept: list[int]) -> Polytope:
-    return jax.tree.map(lambda rows: rows[np.array(kept)], polytopes)
-
-
-def _droppable(
-    near: Float[np.ndarray, "joints"], far: Float[np.ndarray, "seconds"], clearance: float
-) -> set[int]:
-    """Polytopes, no two of them neighbours, without which the way stays at least half as wide."""
-    dropped: set[int] = set()
-    for middle in range(1, len(far) + 1):
-        enough = max(clearance, 0.5 * min(near[middle - 1], near[middle]))
-        if middle - 1 not in dropped and far[middle - 1] >= enough:
-            dropped.add(middle)
-    return dropped
-
-
-def _packed(polytopes: Polytope, seeds: Segments, joints: Float[np.ndarray, "joints 3"]) -> Corridor:
-    """Rows that are not faces left out, the rest moved to the front."""
-    cells = [
-        Polytope(jnp.asarray(n), jnp.asarray(b))
-        for n, b in zip(polytopes.normals, polytopes.offsets, strict=True)
-    ]
-    needed = [needed_faces(cell, seed.mean(axis=0)) for cell, seed in zip(cells, seeds, strict=True)]
-    most = max(len(rows) for rows in needed)
-    normals = np.zeros((len(cells), most, 3))
-    offsets = np.ones((len(cells), most))
-    for k, (cell, rows) in enumerate(zip(cells, needed, strict=True)):
-        normals[k, : len(rows)] = np.asarray(cell.normals)[rows]
-        offsets[k, : len(rows)] = np.asarray(cell.offsets)[rows]
-    return Corridor(jnp.asarray(normals), jnp.asarray(offsets), jnp.asarray(joints))
-
-
-def pad(
-    corridor: Corridor, goal: ArrayLike, polytopes: int | None = None, faces: int | None = None
-) -> Corridor:
-    """A corridor of a given size: the last polytope repeated with the goal as joint, rows 0 . p <= 1 added.
-
-    Args:
-        corridor: what to pad.
-        goal: (3,) a point in the last polytope, metres.
-        polytopes: how many to make it; None leaves their number.
-        faces: how many rows to make it; None leaves their number.
-
-    Raises:
-        ValueError: the corridor is larger than that already.
-
-    Example:
-        >>> import jaxscp
-        >>> room = jaxscp.corridor.connect([jaxscp.corridor.box([0, 0, 0], [1, 2, 3])], joints=[])
-        >>> padded = pad(room, [0.5, 0.5, 0.5], polytopes=4, faces=10)
-        >>> padded.normals.shape, padded.joints.shape
-        ((4, 10, 3), (3, 3))
-    """
-    count, rows = corridor.offsets.shape
-    polytopes, faces = polytopes or count, faces or rows
-    if count > polytopes or rows > faces:
-        raise ValueError(
-            f"the corridor has {count} polytopes of {rows} faces, more than the "
-            f"{polytopes} of {faces} asked for"
-        )
-    more, goal = polytopes - count, jnp.asarray(goal, corridor.offsets.dtype)
-    normals = jnp.pad(corridor.normals, ((0, 0), (0, faces - rows), (0, 0)))
-    offsets = jnp.pad(corridor.offsets, ((0, 0), (0, faces - rows)), constant_values=1.0)
-    return Corridor(
-        jnp.concatenate([normals, jnp.repeat(normals[-1:], more, axis=0)]),
-        jnp.concatenate([offsets, jnp.repeat(offsets[-1:], more, axis=0)]),
-        jnp.concatenate([corridor.joints, jnp.broadcast_to(goal, (more, 3))]),
-    )
 
 
 def _verdict(left, overlaps, clearance: float, count: int) -> tuple[CorridorStatus, str]:

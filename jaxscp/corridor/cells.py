@@ -12,7 +12,8 @@ from jaxscp.core.types import Vector3
 from jaxscp.corridor.clouds import PointCloud
 from jaxscp.corridor.decompose import Cell, Decomposition, Seed, seed_of
 from jaxscp.corridor.overlaps import Ball, deepest_ball, intersect
-from jaxscp.corridor.polytopes import Corridor, Polytope
+from jaxscp.corridor.polytope import Polytope
+from jaxscp.corridor.polytopes import Corridor
 
 _LEGS_A_CALL = 4
 _SMALLEST_BUCKET = 1024

@@ -1,15 +1,32 @@
 """A point cloud: positions in metres, and what was done to them on the way here."""
 
 import warnings
+from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
-from jaxscp.corridor.polytopes import Polytope
+from jaxscp.corridor.extent import corners, main_box
+from jaxscp.corridor.polytope import Polytope
 
 _SUSPICIOUS_EXTENT = 10_000.0
+
+
+class Provenance(NamedTuple):
+    """The file that a cloud was read from, and the facts about it that were stated."""
+
+    file: str
+    """Path of the file."""
+    unit: str | None = None
+    """The unit that the file or the caller stated; None where metres were assumed."""
+    frame: str | None = None
+    """The frame that the file or the caller stated; None where z up was assumed."""
+    notes: tuple[str, ...] = ()
+    """Assumptions made while reading."""
+    doubts: tuple[str, ...] = ()
+    """Questions that the file leaves open."""
 
 
 class PointCloud(eqx.Module):
@@ -31,6 +48,8 @@ class PointCloud(eqx.Module):
     """How far an original point can be from the one that stands for it, metres."""
     dropped: int = 0
     """How many points were left out because a coordinate was not finite."""
+    provenance: Provenance | None = eqx.field(static=True, default=None)
+    """The file that the points came from; None for an array, which is in metres, z up."""
 
     @staticmethod
     def of(points: ArrayLike, source: str = "the cloud") -> "PointCloud":
@@ -46,9 +65,10 @@ class PointCloud(eqx.Module):
             array = array.reshape(0, 3)
         if array.ndim != 2 or array.shape[1] != 3:
             raise ValueError(f"{source}: expected an array of shape (points, 3), got {array.shape}")
-        finite = np.isfinite(array).all(axis=1)
-        dropped = int(array.shape[0] - np.count_nonzero(finite))
-        if dropped:
+        dropped = 0
+        if array.shape[0] and not np.isfinite(corners(array)).all():
+            finite = np.isfinite(array).all(axis=1)
+            dropped = int(array.shape[0] - np.count_nonzero(finite))
             warnings.warn(f"{source}: dropped {dropped} of {array.shape[0]} points, not finite", stacklevel=2)
             array = array[finite]
         _warn_of_units(array, source)
@@ -64,7 +84,7 @@ class PointCloud(eqx.Module):
         """Lower and upper corner of the points in metres; of an empty cloud, twice the origin."""
         if self.count == 0:
             return np.zeros(3), np.zeros(3)
-        return self.points.min(axis=0), self.points.max(axis=0)
+        return corners(self.points)
 
     def thinned(self, voxel: float) -> "PointCloud":
         """One point a voxel: the middle of the box that its points span.
@@ -82,11 +102,13 @@ class PointCloud(eqx.Module):
         if self.count == 0:
             return self
         order, first = _by_voxel(self.points, voxel)
-        ordered = self.points[order]
-        lower = np.minimum.reduceat(ordered, first)
-        upper = np.maximum.reduceat(ordered, first)
+        lower, upper = np.empty((len(first), 3)), np.empty((len(first), 3))
+        for axis in range(3):
+            ordered = self.points[order, axis]
+            lower[:, axis] = np.minimum.reduceat(ordered, first)
+            upper[:, axis] = np.maximum.reduceat(ordered, first)
         spread = 0.5 * float(np.linalg.norm(upper - lower, axis=1).max())
-        return PointCloud(0.5 * (lower + upper), self.spread + spread, self.dropped)
+        return PointCloud(0.5 * (lower + upper), self.spread + spread, self.dropped, self.provenance)
 
     def inside(self, region: Polytope, margin: float = 0.0) -> Bool[np.ndarray, "points"]:
         """Which points lie in a polytope grown by a margin in metres."""
@@ -107,31 +129,41 @@ class PointCloud(eqx.Module):
             >>> PointCloud.of([[0.0, 0.0, 0.1], [3.0, 0.0, 0.0]]).without(deck).count
             1
         """
-        return PointCloud(self.points[~self.inside(region)], self.spread, self.dropped)
+        return self.chosen(~self.inside(region))
+
+    def chosen(self, rows: Bool[np.ndarray, "points"]) -> "PointCloud":
+        """The points that a mask chooses."""
+        return PointCloud(self.points[rows], self.spread, self.dropped, self.provenance)
 
 
 def _by_voxel(points: Float[np.ndarray, "points 3"], voxel: float) -> tuple[np.ndarray, np.ndarray]:
     """An order that puts points of one voxel together, and where each voxel begins in it."""
-    cells = np.floor((points - points.min(axis=0)) / voxel)
-    sizes = cells.max(axis=0) + 1.0
+    low, high = corners(points)
+    sizes = np.floor((high - low) / voxel) + 1.0
     if np.prod(sizes) >= 2.0**62:
+        cells = np.floor((points - low) / voxel)
         order = np.lexsort(cells.T)
         changed = np.any(np.diff(cells[order], axis=0) != 0, axis=1)
     else:
-        cells = cells.astype(np.int64)
-        key = (cells[:, 0] * int(sizes[1]) + cells[:, 1]) * int(sizes[2]) + cells[:, 2]
-        order = np.argsort(key, kind="stable")
-        changed = np.diff(key[order]) != 0
+        kind = np.uint32 if np.prod(sizes) < 2.0**32 else np.int64
+        key = np.zeros(len(points), kind)
+        for axis in range(3):
+            key *= kind(sizes[axis])
+            key += np.floor((points[:, axis] - low[axis]) / voxel).astype(kind)
+        order = np.argsort(key)
+        key = key[order]
+        changed = key[1:] != key[:-1]
     return order, np.concatenate([[0], np.flatnonzero(changed) + 1])
 
 
 def _warn_of_units(points: np.ndarray, source: str) -> None:
     if points.shape[0] == 0:
         return
-    extent = float(np.ptp(points, axis=0).max())
+    box = main_box(points)
+    extent = float((box.upper - box.lower).max())
     if extent > _SUSPICIOUS_EXTENT:
         warnings.warn(
             f"{source}: the points span {extent:.0f} m. Are they in millimetres, or is there an outlier? "
-            "Positions must be in metres.",
+            "Positions must be in metres; of a file, state the unit: unit='mm'.",
             stacklevel=3,
         )

@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float, Int, ScalarLike
 from jaxscp.core.types import Vector3
 from jaxscp.corridor.ellipsoids import Columns, Ellipsoid, around_segment, inside_polytope
 from jaxscp.corridor.halfspaces import Cuts, capsule_only, cut_away, switch, turn
-from jaxscp.corridor.polytopes import Polytope
+from jaxscp.corridor.polytope import Polytope
 
 Tree = TypeVar("Tree")
 _SHORTEST = 1e-3

@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscp.corridor.clouds import PointCloud
-from jaxscp.corridor.polytopes import Corridor, Polytope
+from jaxscp.corridor.polytope import Polytope
+from jaxscp.corridor.polytopes import Corridor
 from jaxscp.corridor.route import Route
 from jaxscp.corridor.shapes import polygons
 

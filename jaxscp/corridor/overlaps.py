@@ -9,7 +9,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxscp.core.types import Vector3
-from jaxscp.corridor.polytopes import Polytope
+from jaxscp.corridor.polytope import Polytope
+from jaxscp.corridor.polytope import intersect as intersect
 
 _STEPS = 24
 
@@ -21,20 +22,6 @@ class Ball(eqx.Module):
     """Centre, (3,), metres."""
     radius: Float[Array, ""]
     """Radius in metres, true for the centre given: the distance to the nearest face."""
-
-
-def intersect(first: Polytope, second: Polytope) -> Polytope:
-    """The overlap of two polytopes: all rows of both.
-
-    Example:
-        >>> import jaxscp
-        >>> room = jaxscp.corridor.box([0.0, 0.0, 0.0], [4.0, 2.0, 3.0])
-        >>> intersect(room, room).offsets.size
-        12
-    """
-    return Polytope(
-        jnp.concatenate([first.normals, second.normals]), jnp.concatenate([first.offsets, second.offsets])
-    )
 
 
 @jax.jit

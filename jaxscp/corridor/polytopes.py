@@ -1,8 +1,10 @@
 """A safe flight corridor: convex polytopes, each overlapping the next (equation 20)."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -10,6 +12,13 @@ from numpy.typing import ArrayLike
 
 from jaxscp.core.arrays import namespace
 from jaxscp.core.types import Normals, Offsets, Vector3
+from jaxscp.corridor.overlaps import deepest_ball
+from jaxscp.corridor.polytope import Polytope as Polytope
+from jaxscp.corridor.polytope import box as box
+from jaxscp.corridor.polytope import intersect
+
+_UNIT = 1e-12
+"""Difference of a squared length from one below which a normal has unit length."""
 
 
 class Corridor(eqx.Module):
@@ -44,41 +53,101 @@ class Corridor(eqx.Module):
         """Distance in metres from a point to the nearest face of each polytope; negative outside it."""
         return jnp.min(self.offsets - self.normals @ point, axis=-1)
 
+    def with_unit_normals(self) -> "Corridor":
+        """The same corridor with unit normals, so that offsets and violations are metres.
 
-class Polytope(eqx.Module):
-    """One convex polytope {p : normals p <= offsets}."""
+        Rows whose normals have unit length already stay as they are, bit by bit.
 
-    normals: Float[Array, "faces 3"]
-    """Outward unit normals, (faces, 3)."""
-    offsets: Float[Array, "faces"]
-    """Signed distances of the faces from the origin in metres, (faces,)."""
-
-
-def box(lower: ArrayLike, upper: ArrayLike) -> Polytope:
-    """Axis-aligned box between two opposite corners in metres.
-
-    Example:
-        >>> import jaxscp
-        >>> jaxscp.corridor.box([0.0, 0.0, 0.0], [1.0, 2.0, 3.0]).offsets.tolist()
-        [1.0, 2.0, 3.0, -0.0, -0.0, -0.0]
-    """
-    xp = namespace(lower, upper)
-    offsets = xp.concatenate([xp.asarray(upper, float), -xp.asarray(lower, float)])
-    return Polytope(jnp.asarray(np.concatenate([np.eye(3), -np.eye(3)])), jnp.asarray(offsets))
+        Example:
+            >>> import jaxscp
+            >>> room = jaxscp.corridor.connect([jaxscp.corridor.box([0, 0, 0], [4, 2, 3])], joints=[])
+            >>> scaled = Corridor(1e-4 * room.normals, 1e-4 * room.offsets, room.joints)
+            >>> scaled.with_unit_normals().offsets.round(9).tolist()
+            [[4.0, 2.0, 3.0, -0.0, -0.0, -0.0]]
+        """
+        normals, offsets = _unit_rows(self.normals, self.offsets)
+        return Corridor(jnp.asarray(normals), jnp.asarray(offsets), self.joints)
 
 
-def connect(polytopes: Sequence[Polytope], joints: ArrayLike) -> Corridor:
-    """Chain polytopes into a corridor, padding them to one face count.
+def connect(
+    polytopes: Sequence[Polytope], joints: ArrayLike | None = None, *, margin: float = 0.0
+) -> Corridor:
+    """Chain polytopes into a corridor for the vehicle's centre, padded to one face count, with unit normals.
+
+    A corridor bounds the centre. For polytopes that bound free space, give the vehicle's radius as margin.
 
     Args:
         polytopes: K polytopes in flight order.
-        joints: (K - 1, 3) points, each inside two consecutive polytopes, in metres.
+        joints: (K - 1, 3) points, each inside two consecutive polytopes, in metres. None takes the centre of
+            the largest ball in each overlap.
+        margin: distance to move every face inwards, metres.
+
+    Raises:
+        ValueError: there is no polytope, the margin is negative, the number of joints is wrong, or without
+            joints a polytope is empty or two consecutive ones do not overlap. The message has their numbers,
+            counted from 0.
+
+    Example:
+        >>> import jaxscp
+        >>> rooms = [jaxscp.corridor.box([0, 0, 0], [4, 2, 3]), jaxscp.corridor.box([3, 0, 0], [9, 2, 3])]
+        >>> corridor = jaxscp.corridor.connect(rooms, margin=0.25)
+        >>> corridor.joints.round(3).tolist(), corridor.offsets[0].round(3).tolist()
+        ([[3.5, 1.0, 1.5]], [3.75, 1.75, 2.75, -0.25, -0.25, -0.25])
     """
+    if not polytopes:
+        raise ValueError("connect: a corridor needs at least one polytope")
+    if not margin >= 0:
+        raise ValueError(f"connect: margin must not be negative, got {margin} m")
     xp = namespace(polytopes, joints)
     faces = max(polytope.offsets.size for polytope in polytopes)
     pads = [faces - polytope.offsets.size for polytope in polytopes]
     padded = list(zip(polytopes, pads, strict=True))
-    normals = [xp.pad(p.normals, ((0, n), (0, 0))) for p, n in padded]
-    offsets = [xp.pad(p.offsets, (0, n), constant_values=1.0) for p, n in padded]
-    joints = xp.asarray(joints, float).reshape(-1, 3)
-    return Corridor(jnp.asarray(xp.stack(normals)), jnp.asarray(xp.stack(offsets)), jnp.asarray(joints))
+    normals = xp.stack([xp.pad(p.normals, ((0, n), (0, 0))) for p, n in padded])
+    offsets = xp.stack([xp.pad(p.offsets, (0, n), constant_values=1.0) for p, n in padded])
+    normals, offsets = _unit_rows(normals, offsets)
+    if margin:
+        offsets = xp.where(xp.any(normals != 0, axis=-1), offsets - margin, offsets)
+    if joints is None:
+        centres = _found_joints(normals, offsets, margin)
+    else:
+        centres = xp.asarray(joints, float).reshape(-1, 3)
+        if len(centres) != len(polytopes) - 1:
+            raise ValueError(
+                f"connect: {len(polytopes)} polytopes need {len(polytopes) - 1} joints, one between each two, "
+                f"got {len(centres)}"
+            )
+    return Corridor(jnp.asarray(normals), jnp.asarray(offsets), jnp.asarray(centres))
+
+
+def _unit_rows(normals: Any, offsets: Any) -> tuple[Any, Any]:
+    """Rows divided by the length of their normals, where that is neither zero nor one."""
+    xp = namespace(normals, offsets)
+    squares = xp.sum(normals * normals, axis=-1)
+    off = (squares > 0) & (xp.abs(squares - 1.0) > _UNIT)
+    lengths = xp.sqrt(xp.where(off, squares, 1.0))
+    return normals / lengths[..., None], offsets / lengths
+
+
+def _found_joints(normals: Any, offsets: Any, margin: float) -> Any:
+    """Centres of the largest balls in consecutive overlaps; checked where they are known."""
+    if len(offsets) == 1:
+        return np.empty((0, 3))
+    cells = Polytope(jnp.asarray(normals), jnp.asarray(offsets))
+    pairs = jax.vmap(intersect)(
+        jax.tree.map(lambda rows: rows[:-1], cells), jax.tree.map(lambda rows: rows[1:], cells)
+    )
+    balls = jax.vmap(deepest_ball)(pairs)
+    if namespace(normals, offsets) is np and np.any(np.asarray(balls.radius) <= 0):
+        inside = np.asarray(jax.vmap(deepest_ball)(cells).radius)
+        after = f" once {margin:g} m of margin are taken off every face" if margin else ""
+        for k in np.flatnonzero(inside <= 0):
+            raise ValueError(
+                f"connect: polytope {k} is empty{after}: its faces leave a ball of radius {inside[k]:.3g} m; are its "
+                "corners swapped?"
+            )
+        k = int(np.argmax(np.asarray(balls.radius) <= 0))
+        raise ValueError(
+            f"connect: polytopes {k} and {k + 1} do not overlap{after}, so that there is no joint {k}: they are "
+            f"{-2 * float(balls.radius[k]):.3g} m apart; are they in flight order?"
+        )
+    return balls.centre

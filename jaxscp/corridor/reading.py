@@ -1,227 +1,212 @@
-"""Point clouds from files. Formats are read by their own libraries; what is wrong is said with a place."""
+"""Point clouds from files: each format by its own library, then brought to metres, z up."""
 
 import warnings
 from collections.abc import Callable
+from functools import partial
 from importlib import import_module
 from os import PathLike
 from pathlib import Path
-from types import ModuleType
+from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
-from jaxscp.corridor.clouds import PointCloud
+from jaxscp.corridor.arrays_on_file import read_npy
+from jaxscp.corridor.clouds import PointCloud, Provenance
+from jaxscp.corridor.conventions import metres, to_z_up
+from jaxscp.corridor.extent import Triple, corners
+from jaxscp.corridor.file_content import CloudFileError, FileContent, FileLayout, Request
+from jaxscp.corridor.meshes import read_mesh
+from jaxscp.corridor.pcd import read_pcd
+from jaxscp.corridor.ply import read_ply
+from jaxscp.corridor.robot_maps import read_floor_plan, read_octomap
+from jaxscp.corridor.scans import read_e57, read_las
+from jaxscp.corridor.tables import read_table
+from jaxscp.corridor.viewpoint import from_sensor, guessed_frame
 
-_SAMPLES_PER_CELL = 8
-_MOST_SAMPLES = 20_000_000
+_COARSE = 0.01
+"""Rounding of stored coordinates that deserves a warning, metres."""
+_ABSURD = 1e8
+"""Coordinates beyond this stand for a return that never came, metres."""
 
 
-class CloudFileError(ValueError):
-    """A cloud file that cannot be read as what its name says; the message names the file and the place."""
+class Format(NamedTuple):
+    """How files of one suffix are read."""
+
+    read: Callable[[Path, Request], FileContent]
+    library: str | None
+    extra: str = "clouds"
 
 
-def read_cloud(path: str | PathLike[str], *, spacing: float = 0.1, seed: int = 0) -> PointCloud:
-    """Read a point cloud, or sample the surface of a mesh.
+_FORMATS = {
+    ".pcd": Format(read_pcd, "pypcd4"),
+    ".ply": Format(read_ply, "plyfile"),
+    ".npy": Format(read_npy, None),
+    **dict.fromkeys((".xyz", ".txt", ".csv", ".asc", ".pts"), Format(read_table, None)),
+    **dict.fromkeys((".stl", ".obj", ".off", ".glb", ".gltf"), Format(read_mesh, "trimesh")),
+    **dict.fromkeys((".las", ".laz"), Format(read_las, "laspy", "scans")),
+    ".e57": Format(read_e57, "pye57", "scans"),
+    **dict.fromkeys((".bt", ".ot"), Format(read_octomap, "octomap", "scans")),
+    ".yaml": Format(read_floor_plan, "yaml", "scans"),
+}
 
-    =======================  ==================================================  ==============
-    suffix                   what                                                read by
-    =======================  ==================================================  ==============
-    ``.pcd``                 Point Cloud Data: ascii, binary, binary_compressed  pypcd4
-    ``.ply``                 the ``vertex`` element                              plyfile
-    ``.xyz``, ``.txt``       x y z first in every line, blanks or commas         numpy
-    ``.npy``                 an array (points, 3 or more)                        numpy
-    ``.stl``, ``.obj``       a mesh, sampled at about ``spacing``                trimesh
-    =======================  ==================================================  ==============
 
-    The libraries come with ``pip install 'jaxscp[clouds]'``. Positions must be in metres.
+def read_cloud(
+    path: str | PathLike[str],
+    *,
+    spacing: float = 0.1,
+    seed: int = 0,
+    unit: str | None = None,
+    offset: Triple | None = None,
+    frame: str | None = None,
+    layout: FileLayout | None = None,
+) -> PointCloud:
+    """Point cloud of a file in metres, z up; a mesh in any format is sampled as a surface.
+
+    =========================================  =========================================================  ========
+    suffix                                     content                                                    library
+    =========================================  =========================================================  ========
+    ``.pcd``                                   Point Cloud Data of every version and encoding             pypcd4
+    ``.ply``                                   vertices; faces and triangle strips are surfaces           plyfile
+    ``.xyz .txt .csv .asc .pts``               x y z by a header, or in the first three columns           numpy
+    ``.npy``                                   array (points, 3 or more), or occupancy of bool            numpy
+    ``.stl .obj .off .glb .gltf``              mesh, sampled at about ``spacing``                         trimesh
+    ``.las .laz``                              laser scan; points of class noise are left out             laspy
+    ``.e57``                                   laser scans in their common frame                          pye57
+    ``.bt .ot``                                OctoMap; unknown cells beside free ones are obstacles      octomap
+    ``.yaml``                                  floor plan of ROS with its image; needs a height           yaml
+    =========================================  =========================================================  ========
+
+    Install the libraries with ``pip install 'jaxscp[clouds]'``; the last four rows need ``jaxscp[scans]``.
 
     Args:
         path: the file.
         spacing: largest hole to leave in the samples of a mesh, metres.
         seed: of the samples of a mesh.
+        unit: unit of the file: m, dm, cm, mm, km, in, ft or us-ft. None takes the file's own, or assumes metres.
+        offset: (3,) position of the local origin in the map, metres, z up; it is subtracted from every point.
+        frame: enu or flu (z up), ned or frd (z down), or y-up. A .pcd with a VIEWPOINT takes ``sensor``
+            (points are relative to it) or ``world`` (they are not). None takes the file's own, or assumes z up.
+        layout: facts that the format does not hold: columns, edge of a cell, height of a floor plan.
 
     Raises:
         FileNotFoundError: there is no such file.
-        CloudFileError: the suffix is unknown, or the file is truncated or not what its suffix says.
+        CloudFileError: the suffix is unknown, the file is not as its suffix says, or no point of it is usable.
         ImportError: the format's library is not installed.
+        ValueError: an option has an unknown value.
 
     Example:
         >>> import pathlib, tempfile
-        >>> path = pathlib.Path(tempfile.mkdtemp()) / "two.xyz"
-        >>> _ = path.write_text("0 0 1\\n2 0 1\\n")
-        >>> read_cloud(path).count
-        2
+        >>> path = pathlib.Path(tempfile.mkdtemp()) / "two.csv"
+        >>> _ = path.write_text("id,x,y,z\\n7,0,0,1000\\n8,2000,0,1000\\n")
+        >>> read_cloud(path, unit="mm").points.tolist()
+        [[0.0, 0.0, 1.0], [2.0, 0.0, 1.0]]
     """
     path = Path(path)
+    scale, _ = metres(unit or "m"), to_z_up(frame or "enu")
     if not path.is_file():
         raise FileNotFoundError(f"no such file: {path}")
-    suffix = path.suffix.lower()
-    if suffix in (".stl", ".obj"):
-        points = _read_mesh(path, spacing, seed)
-    elif suffix in _READERS:
-        points = _READERS[suffix](path)
-    else:
-        known = ", ".join([*_READERS, ".stl", ".obj"])
-        raise CloudFileError(f"{path}: unknown kind of cloud file {suffix!r}; known are {known}")
-    return PointCloud.of(points, source=str(path))
+    chosen = _FORMATS.get(path.suffix.lower())
+    if chosen is None:
+        raise CloudFileError(
+            f"{path}: unknown kind of cloud file {path.suffix!r}; known are {', '.join(_FORMATS)}"
+        )
+    load = partial(_library, chosen.extra, path)
+    library = None if chosen.library is None else load(chosen.library)
+    content = chosen.read(path, Request(library, load, spacing / scale, seed, layout or FileLayout()))
+    scale = metres(unit or content.unit or "m")
+    points, absurd, rounding = _usable(path, content, scale)
+    points, notes, turned = _in_frame(path, points, content, scale, frame)
+    if offset is not None:
+        points = points - _offset(offset)
+    cloud = PointCloud.of(points, source=str(path))
+    doubts = content.doubts if frame is None else ()
+    origin = Provenance(str(path), unit or content.unit, frame or turned, content.notes + notes, doubts)
+    return PointCloud(cloud.points, content.cover * scale + rounding, cloud.dropped + absurd, origin)
 
 
-def _library(name: str, path: Path) -> ModuleType:
+def _library(extra: str, path: Path, name: str) -> Any:
     try:
         return import_module(name)
     except ImportError as error:
-        raise ImportError(f"reading {path.name} needs {name}: pip install 'jaxscp[clouds]'") from error
+        raise ImportError(f"reading {path.name} needs {name}: pip install 'jaxscp[{extra}]'") from error
 
 
-def _read_pcd(path: Path) -> np.ndarray:
-    pypcd4 = _library("pypcd4", path)
-    lines, start = _pcd_header(path)
-    try:
-        header = pypcd4.MetaData.parse_header(lines)
-    except ValueError as error:
-        raise CloudFileError(
-            f"{path}: the header, lines 1 to {len(lines)}, is not that of a .pcd: {error}"
-        ) from error
-    missing = {"x", "y", "z"} - set(header.fields)
-    if missing:
-        raise CloudFileError(
-            f"{path}: no field {', '.join(sorted(missing))} among FIELDS {' '.join(header.fields)}"
-        )
-    if header.data.value == "ascii":
-        columns = [_pcd_column(header, name) for name in "xyz"]
-        points = _read_table(path, columns, skip=len(lines))
-        if points.shape[0] != header.points:
-            raise CloudFileError(
-                f"{path}: ends at line {len(lines) + points.shape[0]} with {points.shape[0]} points, "
-                f"the header promises {header.points}"
+def _usable(
+    path: Path, content: FileContent, scale: float
+) -> tuple[Float[np.ndarray, "points 3"], int, float]:
+    """Points in metres less those absurdly far, how many these were, and the rounding of coordinates.
+
+    Raises:
+        CloudFileError: there are points, and none is left.
+    """
+    stored, count = content.points, content.points.shape[0]
+    points = np.asarray(stored, float) * scale if scale != 1.0 else np.asarray(stored, float)
+    absurd = np.empty(0, int)
+    finite = np.ones(len(points), bool)
+    if count and not np.all(np.abs(corners(points)) <= _ABSURD):
+        with np.errstate(invalid="ignore"):
+            absurd = np.flatnonzero(
+                np.any(np.abs(points) > _ABSURD, axis=1) & np.isfinite(points).all(axis=1)
             )
-        return points
-    _check_pcd_size(path, header, start)
-    try:
-        return pypcd4.PointCloud.from_path(str(path)).numpy(("x", "y", "z")).astype(float)
-    except (ValueError, RuntimeError) as error:
-        raise CloudFileError(f"{path}: the data from byte {start} on cannot be decoded: {error}") from error
-
-
-def _pcd_header(path: Path) -> tuple[list[str], int]:
-    """Lines up to and with DATA, and the byte at which the data begin."""
-    lines: list[str] = []
-    with path.open("rb") as file:
-        for raw in file:
-            line = raw[:200].decode("ascii", "replace").strip()
-            lines.append(line)
-            if line.startswith("DATA"):
-                return lines, file.tell()
-            if "\ufffd" in line or len(lines) > 100:
-                break
-    raise CloudFileError(f"{path}: line {max(len(lines), 1)}: not a .pcd header, no DATA line before it")
-
-
-def _pcd_column(header, name: str) -> int:
-    return int(sum(header.count[: header.fields.index(name)]))
-
-
-def _check_pcd_size(path: Path, header, start: int) -> None:
-    size = path.stat().st_size
-    if header.data.value == "binary":
-        needed = header.points * header.build_dtype().itemsize
-    else:
-        with path.open("rb") as file:
-            file.seek(start)
-            lengths = file.read(8)
-        needed = 8 + (int.from_bytes(lengths[:4], "little") if len(lengths) == 8 else 0)
-    if header.points and size - start < needed:
+        points = np.delete(points, absurd, axis=0)
+        finite = np.isfinite(points).all(axis=1)
+    if count and not finite.any():
+        why = "absurdly far" if len(absurd) == count else "not finite"
         raise CloudFileError(
-            f"{path}: truncated at byte {size}: the header promises {header.points} points, "
-            f"which end at byte {start + needed}"
+            f"{path}: none of its {count} points is usable ({why}), so that it holds no obstacle; is it the right file?"
         )
+    if len(absurd):
+        message = f"{path}: dropped {len(absurd)} of {count} points, beyond {_ABSURD:g} m"
+        warnings.warn(message, stacklevel=3)
+    return points, len(absurd), _rounding(path, points, stored.dtype, scale)
 
 
-def _read_ply(path: Path) -> np.ndarray:
-    plyfile = _library("plyfile", path)
-    try:
-        vertex = plyfile.PlyData.read(str(path))["vertex"]
-        return np.stack([np.asarray(vertex[axis], float) for axis in "xyz"], axis=1)
-    except plyfile.PlyParseError as error:
-        raise CloudFileError(f"{path}: {error} (file of {path.stat().st_size} bytes)") from error
-    except (KeyError, ValueError) as error:
-        raise CloudFileError(f"{path}: no element 'vertex' with x, y and z: {error}") from error
-    except UnicodeDecodeError as error:
-        raise CloudFileError(f"{path}: byte {error.start}: not a .ply header") from error
-
-
-def _read_xyz(path: Path) -> np.ndarray:
-    return _read_table(path, [0, 1, 2], skip=0)
-
-
-def _read_table(path: Path, columns: list[int], skip: int) -> np.ndarray:
-    """Numbers from a text file with blanks or commas between them and # before comments."""
-    try:
-        with path.open(encoding="utf-8") as file:
-            lines = (line.replace(",", " ") for line in file)
-            for _ in range(skip):
-                next(lines, None)
-            with warnings.catch_warnings():
-                warnings.filterwarnings("ignore", message=".*input contained no data", category=UserWarning)
-                return np.loadtxt(lines, usecols=columns, ndmin=2).reshape(-1, 3)
-    except UnicodeDecodeError as error:
-        raise CloudFileError(f"{path}: byte {error.start} of a block is not text") from error
-    except (ValueError, IndexError) as error:
-        raise CloudFileError(_first_bad_line(path, columns, skip) or f"{path}: {error}") from error
-
-
-def _first_bad_line(path: Path, columns: list[int], skip: int) -> str | None:
-    with path.open(encoding="utf-8", errors="replace") as file:
-        for number, line in enumerate(file, start=1):
-            words = line.split("#")[0].replace(",", " ").split()
-            if number <= skip or not words:
-                continue
-            try:
-                [float(words[column]) for column in columns]
-            except (ValueError, IndexError):
-                return f"{path}: line {number}: expected x y z, got {line.strip()[:60]!r}"
-    return None
-
-
-def _read_npy(path: Path) -> np.ndarray:
-    try:
-        array = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError, OSError) as error:
-        raise CloudFileError(
-            f"{path}: not a whole .npy file of {path.stat().st_size} bytes: {error}"
-        ) from error
-    if array.ndim != 2 or array.shape[1] < 3 or not np.issubdtype(array.dtype, np.number):
-        raise CloudFileError(
-            f"{path}: expected numbers of shape (points, 3), got {array.dtype} {array.shape}"
+def _rounding(path: Path, points: np.ndarray, stored: np.dtype, scale: float) -> float:
+    """Error in metres that the stored precision allows; zero below a millimetre."""
+    if not np.issubdtype(stored, np.floating) or stored.itemsize >= 8:
+        return 0.0
+    farthest = np.array([np.nanmax(np.abs(c), initial=0.0) for c in points.T]) / scale
+    steps = np.array([float(np.spacing(value)) for value in farthest.astype(stored)]) * scale
+    error = 0.5 * float(np.linalg.norm(steps))
+    if error > _COARSE:
+        axis = int(np.argmax(steps))
+        warnings.warn(
+            f"{path}: {stored} holds {'xyz'[axis]} up to {farthest[axis]:.0f} in steps of {steps[axis]:.3g} m, so "
+            f"that walls are off by up to {error:.2g} m, which is added to the radius. Store float64, or coordinates "
+            "near the origin",
+            stacklevel=4,
         )
-    return array[:, :3].astype(float)
+    return error if error > 1e-3 else 0.0
 
 
-def _read_mesh(path: Path, spacing: float, seed: int) -> np.ndarray:
-    """Random samples, eight for each square of side ``spacing``, so that holes wider than it are unlikely."""
-    if not spacing > 0:
-        raise ValueError(f"spacing must be positive, got {spacing} m")
-    trimesh = _library("trimesh", path)
-    try:
-        mesh = trimesh.load_mesh(str(path))
-    except Exception as error:  # its loaders raise whatever their parsers raise
-        raise CloudFileError(f"{path}: not a mesh of {path.stat().st_size} bytes: {error}") from error
-    faces = np.asarray(getattr(mesh, "faces", ()))
-    if faces.size == 0 or not np.isfinite(mesh.vertices).all():
-        raise CloudFileError(f"{path}: no triangle with finite corners in its {path.stat().st_size} bytes")
-    samples = int(np.ceil(_SAMPLES_PER_CELL * mesh.area / spacing**2))
-    if samples > _MOST_SAMPLES:
-        raise CloudFileError(
-            f"{path}: a surface of {mesh.area:.0f} m^2 needs {samples} samples at a spacing of {spacing} m. "
-            "Is the mesh in metres? Else choose a larger spacing."
-        )
-    points, _ = trimesh.sample.sample_surface(mesh, samples, seed=seed)
-    return np.concatenate([np.asarray(points), mesh.vertices])
+def _in_frame(
+    path: Path, points: np.ndarray, content: FileContent, scale: float, frame: str | None
+) -> tuple[np.ndarray, tuple[str, ...], str | None]:
+    """Points in the world, z up; a note on the VIEWPOINT; and the frame, where it is known.
+
+    Raises:
+        CloudFileError: nothing tells whether points are relative to the VIEWPOINT.
+    """
+    notes: tuple[str, ...] = ()
+    if content.viewpoint is not None:
+        pose = [value * scale for value in content.viewpoint[:3]] + list(content.viewpoint[3:])
+        relative = frame
+        if frame not in ("sensor", "world"):
+            relative, note = guessed_frame(path, points, pose)
+            notes = (note,)
+        if relative == "sensor":
+            points = from_sensor(points, pose)
+    elif frame == "sensor":
+        raise CloudFileError(f"{path}: has no VIEWPOINT that frame='sensor' could apply")
+    known = frame or content.frame
+    if known is None or np.array_equal(to_z_up(known), np.eye(3)):
+        return points, notes, known
+    return points @ to_z_up(known).T, notes, known
 
 
-_READERS: dict[str, Callable[[Path], np.ndarray]] = {
-    ".pcd": _read_pcd,
-    ".ply": _read_ply,
-    ".xyz": _read_xyz,
-    ".txt": _read_xyz,
-    ".npy": _read_npy,
-}
+def _offset(offset: Triple) -> np.ndarray:
+    value = np.asarray(offset, float)
+    if value.shape != (3,) or not np.isfinite(value).all():
+        raise ValueError(f"offset must be three finite coordinates in metres, got {offset!r}")
+    return value

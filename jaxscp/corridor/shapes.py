@@ -5,7 +5,7 @@ import scipy
 from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
-from jaxscp.corridor.polytopes import Polytope
+from jaxscp.corridor.polytope import Polytope
 
 _ROOM = 1e-3
 _LEAST = 1e-9

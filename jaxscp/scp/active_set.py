@@ -79,7 +79,8 @@ def near_limits(
 
 def slacks(problem: OptimalControlProblem, outputs: Outputs) -> Float[Array, "intervals conditions"]:
     """Slacks of the conditions, in the order of an ``ActiveSet``."""
-    return _concatenated([c.cone.margin(v) for c, v in zip(problem.constraints, outputs.values, strict=True)])
+    margins = [c.cone.margin(v) for c, v in zip(problem.constraints, outputs.values, strict=True)]
+    return _concatenated(problem, margins)
 
 
 def nearest_dilation_limit(problem: OptimalControlProblem, dilation: Nodes) -> Nodes:

@@ -1,6 +1,5 @@
-"""The interior point against CLARABEL, its certificates, its batches, and the algebra below it."""
+"""Interior point: optimal values against CLARABEL, certificates, multipliers, batches; and the algebra of cones."""
 
-import clarabel
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -12,10 +11,9 @@ from hypothesis import strategies as st
 from jaxscp import Status, status_names
 from jaxscp.cones import product
 from jaxscp.conic import export
-from jaxscp.conic.equilibrate import equilibrate
 from jaxscp.conic.interior_point import InteriorPoint
 from jaxscp.conic.random_programs import random_program
-from jaxscp.linalg import block_tridiagonal
+from tests.support.reference import clarabel_optimum
 
 SAME_VALUE = 1e-6  # relative; both stop at a gap of about 1e-8
 FEASIBLE = 1e-6  # in each row's own unit
@@ -29,12 +27,7 @@ def solve(request):
 
 def reference(program) -> tuple[str, float]:
     p = export(program)
-    kinds = [clarabel.ZeroConeT(p.zero), clarabel.NonnegativeConeT(p.nonnegative)]
-    kinds += [clarabel.SecondOrderConeT(dimension) for dimension in p.second_order]
-    options = clarabel.DefaultSettings()
-    options.verbose = False
-    answer = clarabel.DefaultSolver(p.P, p.q, p.A, p.b, kinds, options).solve()
-    return str(answer.status), answer.obj_val
+    return clarabel_optimum(p.P, p.q, p.A, p.b, (p.zero, p.nonnegative, p.second_order))
 
 
 @pytest.mark.parametrize("norm", [True, False], ids=["norm cost", "quadratic cost"])
@@ -59,7 +52,7 @@ def test_certificates(solve, seed, kind, norm):
 
 
 def test_multipliers_prove_optimality(solve):
-    """The gradient of the Lagrangian vanishes, multipliers lie in their cones, and complement the slacks."""
+    """The gradient of the Lagrangian vanishes; multipliers are in their cones and complementary to the slacks."""
     program = random_program(3, norm=False)
     solution = solve(program)
     y, z = solution.multipliers, solution.z
@@ -75,47 +68,17 @@ def test_multipliers_prove_optimality(solve):
     assert np.all(jnp.linalg.norm(program.links.soft * y.links, axis=1) <= bound)
 
 
-def test_lanes_of_a_batch_do_not_touch_each_other(solve):
+def test_batch_elements_are_independent(solve):
     programs = [random_program(seed) for seed in range(3)]
     batch = jax.tree.map(lambda *v: jnp.stack(v), *programs)
     poisoned = eqx.tree_at(lambda p: p.gradient, batch, batch.gradient.at[1].set(jnp.nan))
     solutions = jax.jit(jax.vmap(InteriorPoint()))(poisoned)
     names = status_names(solutions.status)
     assert list(names) == ["converged", "numerical_error", "converged"]
-    for lane in (0, 2):
-        alone = solve(programs[lane])
-        np.testing.assert_allclose(solutions.objective[lane], alone.objective, rtol=SAME_VALUE)
-        np.testing.assert_allclose(solutions.z[lane], alone.z, atol=1e-4)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_equilibration_changes_units_only(seed):
-    """The scaled program costs, at a scaled point, what the given one costs at the point."""
-    program = random_program(seed)
-    scaled, scales = equilibrate(program)
-    z = jax.random.normal(jax.random.key(seed), program.gradient.shape)
-    np.testing.assert_allclose(
-        scaled.objective(z / scales.columns), scales.cost * program.objective(z), rtol=1e-10
-    )
-
-
-@pytest.mark.parametrize(("blocks", "size"), [(1, 3), (2, 1), (7, 4)])
-def test_block_tridiagonal_solves_the_dense_system(blocks, size):
-    random = np.random.default_rng(blocks)
-    above = random.standard_normal((blocks, size, size))
-    above[-1] = 0.0
-    root = random.standard_normal((blocks, size, size))
-    diagonal = root @ np.swapaxes(root, 1, 2) + 6.0 * size * np.eye(size)
-    dense = np.zeros((blocks * size, blocks * size))
-    for i in range(blocks):
-        at, beside = slice(i * size, (i + 1) * size), slice((i + 1) * size, (i + 2) * size)
-        dense[at, at] = diagonal[i]
-        if i + 1 < blocks:
-            dense[at, beside], dense[beside, at] = above[i], above[i].T
-    right = random.standard_normal((blocks, size))
-    factor = block_tridiagonal.factor(jnp.asarray(diagonal), jnp.asarray(above))
-    found = block_tridiagonal.solve(factor, jnp.asarray(right))
-    np.testing.assert_allclose(found.ravel(), np.linalg.solve(dense, right.ravel()), atol=1e-11)
+    for element in (0, 2):
+        alone = solve(programs[element])
+        np.testing.assert_allclose(solutions.objective[element], alone.objective, rtol=SAME_VALUE)
+        np.testing.assert_allclose(solutions.z[element], alone.z, atol=1e-4)
 
 
 numbers = st.floats(-3.0, 3.0)
@@ -141,7 +104,7 @@ def test_scaling_maps_both_points_to_one(s, y):
 def test_step_ends_on_the_boundary(point, direction):
     direction = jnp.array([direction])
     step = float(product.step_to_boundary(point, direction)[0])
-    before, after = (point + share * min(step, 1e3) * direction for share in (0.999, 1.001))
+    before, after = (point + fraction * min(step, 1e3) * direction for fraction in (0.999, 1.001))
     assert float(product.determinant(before)[0]) > 0
     if step < 1e3:
         assert float(product.determinant(after)[0]) < 0 or float(after[0, 0]) < 0

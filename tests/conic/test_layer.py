@@ -1,4 +1,4 @@
-"""The conic layer: derivatives against diffcp, differences and closed forms, and where there are none."""
+"""Conic layer: derivatives against diffcp, differences and closed forms; and cases without derivative."""
 
 import diffcp
 import equinox as eqx
@@ -12,10 +12,10 @@ from jaxscp.conic import ConicLayer, StagedProgram, export
 from jaxscp.conic.random_programs import random_program, smallest_program
 
 SAME_SLOPE = 1e-6  # of the largest slope; diffcp's own solver stops at about 1e-10
-DIFFERENCES = 1e-6  # of the largest slope; central ones, with a step of 1e-5
-PATH = 1e-9  # what a mu of 1e-12 changes, in programs of unit size
+DIFFERENCES = 1e-6  # of the largest slope; central differences with a step of 1e-5
+PATH = 1e-9  # effect of a mu of 1e-12, in programs of unit size
 TIE = 1e-6  # the same where a constraint is weakly active: the root of mu
-ROUNDING = 1e-8  # relative, of sums whose terms cancel
+ROUNDING = 1e-8  # relative; sums whose terms cancel
 
 kinds = pytest.mark.parametrize("norm", [True, False], ids=["norm cost", "quadratic cost"])
 
@@ -33,12 +33,12 @@ def forward(program, change):
 
 @jax.jit
 def reverse(program, weight):
-    _, pull, differentiable = jax.vjp(outputs, program, has_aux=True)
-    return pull(weight)[0], differentiable
+    _, transpose_product, differentiable = jax.vjp(outputs, program, has_aux=True)
+    return transpose_product(weight)[0], differentiable
 
 
 def random_change(program: StagedProgram, seed: int) -> StagedProgram:
-    """A direction in which every number changes but zeros, which are paddings, and the choice of soft rows."""
+    """Direction that changes every number except zeros, which are padding, and the mask of soft rows."""
     random = np.random.default_rng(seed)
     change = jax.tree.map(lambda v: v * random.standard_normal(v.shape), program)
     hessian = change.hessian + jnp.swapaxes(change.hessian, 1, 2)
@@ -62,7 +62,7 @@ def close(found, expected, tolerance):
 
 
 class Cone:
-    """A program as diffcp wants it: linear cost, half the square of each node's root z bounded by a variable more."""
+    """Program in diffcp's form: linear cost; an extra variable per node bounds |root' z|^2 / 2."""
 
     def __init__(self, program: StagedProgram, root):
         p = export(eqx.tree_at(lambda q: q.hessian, program, jnp.zeros_like(program.hessian)))
@@ -81,7 +81,7 @@ class Cone:
 
 
 def unpacked(program: StagedProgram, x, y):
-    """z, and the multipliers of half-spaces and of the user's cones, of the exported program's vectors."""
+    """z, and multipliers of half-spaces and user's cones, from the exported program's vectors."""
     p = export(program)
     _, rows, cones = np.split(
         y[: p.zero + p.nonnegative + 3 * program.nodes], [p.zero, p.zero + p.nonnegative]
@@ -108,13 +108,13 @@ def test_slopes_are_diffcps(seed, norm):
     def data(step):
         return Cone(moved(program, change, step), None if norm else root + step * root_change)
 
-    here, ahead, behind = data(0.0), data(1e-2), data(-1e-2)
+    here, forwards, backwards = data(0.0), data(1e-2), data(-1e-2)
     tolerances = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), 1e-14)
     x, y, _, derivative, _ = diffcp.solve_and_derivative(
         here.A, here.b, here.c, here.cones, mode="dense", solve_method="CLARABEL", **tolerances
     )
-    # the data are polynomials of the second degree in the step, of which these differences are the derivatives
-    dA, db, dc = ((getattr(ahead, k) - getattr(behind, k)) / 2e-2 for k in ("A", "b", "c"))
+    # Central differences are exact, since the data are quadratic polynomials in the step.
+    dA, db, dc = ((getattr(forwards, k) - getattr(backwards, k)) / 2e-2 for k in ("A", "b", "c"))
     dx, dy, _ = derivative(sp.csc_matrix(dA), db, dc)
 
     values, slopes, differentiable = forward(program, change)
@@ -132,9 +132,9 @@ def test_slopes_are_differences(seed, norm):
     program = random_program(seed, norm=norm)
     change, still = random_change(program, seed), jax.tree.map(jnp.zeros_like, program)
     _, slopes, differentiable = forward(program, change)
-    ahead, behind = (forward(moved(program, change, h), still)[0] for h in (1e-5, -1e-5))
+    forwards, backwards = (forward(moved(program, change, h), still)[0] for h in (1e-5, -1e-5))
     assert bool(differentiable)
-    close(slopes, jax.tree.map(lambda a, b: (a - b) / 2e-5, ahead, behind), DIFFERENCES)
+    close(slopes, jax.tree.map(lambda a, b: (a - b) / 2e-5, forwards, backwards), DIFFERENCES)
 
 
 @kinds
@@ -154,21 +154,22 @@ def test_reverse_mode_is_the_transpose_of_forward_mode(norm):
 
 
 class Step(eqx.Module):
-    """What one step is asked: from 0 to a target by a first force, at a price for what it lacks."""
+    """Data of a one-step program: from 0 to a target by a first force, with penalised virtual control."""
 
     target: jax.Array
     limit: jax.Array
-    price: jax.Array
+    weight: jax.Array
+    """Penalty weight of virtual control."""
     curvature: jax.Array
-    """Price of the square of the first force."""
+    """Cost of half the square of the first force."""
     last_gradient: jax.Array
-    """Price of the second force, which moves nothing."""
+    """Linear cost of the second force, which moves nothing."""
     last_curvature: jax.Array
     last_limit: jax.Array
 
 
 def step_program(step: Step, like: StagedProgram) -> StagedProgram:
-    """The smallest program with these numbers; its last link holds the target in all of its rows."""
+    """The smallest program with these data; all rows of its last link have the target as offset."""
     nothing = jnp.zeros(())
     return eqx.tree_at(
         lambda p: (p.hessian, p.gradient, p.links.offset, p.links.weight, p.rows.offset),
@@ -179,15 +180,15 @@ def step_program(step: Step, like: StagedProgram) -> StagedProgram:
             ),
             like.gradient.at[1, 1].set(step.last_gradient),
             like.links.offset.at[2].set(step.target),
-            jnp.broadcast_to(step.price, (3,)),
+            jnp.broadcast_to(step.weight, (3,)),
             jnp.stack([step.limit, jnp.full((), 2.0), step.last_limit, jnp.full((), 2.0)]).reshape(2, 2),
         ),
     )
 
 
-def steps(*lanes) -> Step:
-    """A batch: (target, limit, price, curvature), and of the last force (gradient, curvature, limit)."""
-    return Step(*jnp.array(lanes).T)
+def steps(*elements) -> Step:
+    """Batch of (target, limit, weight, curvature) and, for the last force, (gradient, curvature, limit)."""
+    return Step(*jnp.array(elements).T)
 
 
 def solved(step: Step, like: StagedProgram | None = None):
@@ -204,25 +205,25 @@ def solved(step: Step, like: StagedProgram | None = None):
 ENOUGH = (1.5, 2.0, 10.0, 3.0, 0.0, 1.0, 2.0)
 TOO_LITTLE = (3.5, 2.0, 10.0, 3.0, 0.0, 1.0, 2.0)
 IMPOSSIBLE = (1.5, -3.0, 10.0, 3.0, 0.0, 1.0, 2.0)  # a force below -3 and above -2
-ON_THE_LIMIT = (1.5, 2.0, 10.0, 3.0, 0.0, 1.0, 0.0)  # the last force, which is best at zero
-UNDECIDED = (1.5, 2.0, 10.0, 3.0, 0.0, 0.0, 2.0)  # any last force is as good
+ON_THE_LIMIT = (1.5, 2.0, 10.0, 3.0, 0.0, 1.0, 0.0)  # the last force is optimal at zero
+UNDECIDED = (1.5, 2.0, 10.0, 3.0, 0.0, 0.0, 2.0)  # any last force is optimal
 
 
 @pytest.fixture(scope="module")
 def slopes():
-    """Of all lanes at once: Jacobians, values, flags."""
-    lanes = steps(ENOUGH, TOO_LITTLE, IMPOSSIBLE, ON_THE_LIMIT, UNDECIDED)
-    jacobian, (values, differentiable) = jax.jit(jax.vmap(jax.jacfwd(solved, has_aux=True)))(lanes)
+    """Jacobians, values and flags of a batch of all cases."""
+    batch = steps(ENOUGH, TOO_LITTLE, IMPOSSIBLE, ON_THE_LIMIT, UNDECIDED)
+    jacobian, (values, differentiable) = jax.jit(jax.vmap(jax.jacfwd(solved, has_aux=True)))(batch)
     return jacobian, values, differentiable
 
 
-def lane(tree, index):
+def element_of(tree, index):
     return jax.tree.map(lambda v: v[index], tree)
 
 
 def test_slopes_where_the_force_is_enough(slopes):
-    """u = d at cost h d^2 / 2; price and limit do not matter."""
-    (z, link, row, cost), values, differentiable = lane(slopes, 0)
+    """u = d at cost h d^2 / 2, independent of weight and limit."""
+    (z, link, row, cost), values, differentiable = element_of(slopes, 0)
     d, *_, h = ENOUGH[:4]
     assert bool(differentiable)
     close(values, (jnp.array([[0.0, d], [d, 0.0]]), -h * d, 0.0, 0.5 * h * d**2), PATH)
@@ -230,24 +231,24 @@ def test_slopes_where_the_force_is_enough(slopes):
     close((link.target, link.curvature), (-h, -d), PATH)
     close((cost.target, cost.curvature), (h * d, 0.5 * d**2), PATH)
     for slope in (z, link, row, cost):
-        close((slope.limit, slope.price), jax.tree.map(jnp.zeros_like, (slope.limit, slope.price)), PATH)
+        close((slope.limit, slope.weight), jax.tree.map(jnp.zeros_like, (slope.limit, slope.weight)), PATH)
 
 
 def test_slopes_where_virtual_control_does_the_rest(slopes):
-    """u = l, and d - l is lacking at a price W: cost h l^2 / 2 + W (d - l), the limit's multiplier W - h l."""
-    (z, link, row, cost), values, differentiable = lane(slopes, 1)
+    """u = l, virtual control d - l at weight W: cost h l^2 / 2 + W (d - l), multiplier of the limit W - h l."""
+    (z, link, row, cost), values, differentiable = element_of(slopes, 1)
     d, l, w, h = TOO_LITTLE[:4]
     assert bool(differentiable)
     close(values, (jnp.array([[0.0, l], [d, 0.0]]), -w, w - h * l, 0.5 * h * l**2 + w * (d - l)), PATH)
     close((z.target, z.limit), ([[0.0, 0.0], [1.0, 0.0]], [[0.0, 1.0], [0.0, 0.0]]), PATH)
-    close((z.price, z.curvature), (np.zeros((2, 2)), np.zeros((2, 2))), PATH)
-    close((link.target, link.limit, link.price), (0.0, 0.0, -1.0), PATH)
-    close((row.target, row.limit, row.price, row.curvature), (0.0, -h, 1.0, -l), PATH)
-    close((cost.target, cost.limit, cost.price, cost.curvature), (w, h * l - w, d - l, 0.5 * l**2), PATH)
+    close((z.weight, z.curvature), (np.zeros((2, 2)), np.zeros((2, 2))), PATH)
+    close((link.target, link.limit, link.weight), (0.0, 0.0, -1.0), PATH)
+    close((row.target, row.limit, row.weight, row.curvature), (0.0, -h, 1.0, -l), PATH)
+    close((cost.target, cost.limit, cost.weight, cost.curvature), (w, h * l - w, d - l, 0.5 * l**2), PATH)
 
 
-def test_a_lane_without_solution_has_no_slopes_but_values(slopes):
-    jacobian, values, differentiable = lane(slopes, 2)
+def test_without_solution_there_are_values_but_no_slopes(slopes):
+    jacobian, values, differentiable = element_of(slopes, 2)
     assert not bool(differentiable)
     assert np.all(np.isfinite(values[0]))
     assert np.all(np.isnan(jacobian[0].target))
@@ -255,42 +256,42 @@ def test_a_lane_without_solution_has_no_slopes_but_values(slopes):
 
 
 def test_on_a_limit_the_slope_is_between_those_of_both_sides(slopes):
-    """The last force v = -g / h left of the limit, and at it right of it: slopes -1 and 0, on the path one half."""
-    (z, *_), _, differentiable = lane(slopes, 3)
+    """The last force is -g / h below the limit and zero at the limit: slopes -1 and 0; on the path -1/2."""
+    (z, *_), _, differentiable = element_of(slopes, 3)
     assert bool(differentiable)
     close(z.last_gradient, [[0.0, 0.0], [0.0, -0.5]], TIE)
 
 
 def test_only_the_direction_that_is_not_unique_has_no_slope(slopes):
-    (z, *_, cost), _, differentiable = lane(slopes, 4)
+    (z, *_, cost), _, differentiable = element_of(slopes, 4)
     assert not bool(differentiable)
     assert np.all(np.isnan(z.last_gradient))
     close((z.target, cost.target), ([[0.0, 1.0], [1.0, 0.0]], ENOUGH[3] * ENOUGH[0]), PATH)
 
 
-def test_masked_lanes_have_slopes_of_zero_and_harm_no_other():
-    def masked(lanes):
-        (*_, costs), (_, differentiable) = jax.vmap(solved)(lanes)
+def test_masked_batch_elements_have_zero_slopes_and_do_no_harm():
+    def masked(batch):
+        (*_, costs), (_, differentiable) = jax.vmap(solved)(batch)
         return jnp.sum(jnp.where(differentiable, costs, 0.0))
 
     gradient = jax.jit(jax.grad(masked))(steps(IMPOSSIBLE, ENOUGH, UNDECIDED))
     close(gradient.target, [0.0, ENOUGH[3] * ENOUGH[0], 0.0], PATH)
 
 
-def test_links_that_say_the_same_or_nothing_do_no_harm():
-    """Twice the target, and rows of zeros elsewhere: the multipliers are not unique, all else is."""
+def test_redundant_links_do_no_harm():
+    """The target twice, and rows of zeros elsewhere: only the multipliers are not unique."""
     program = smallest_program()
     padded = jax.tree.map(
         lambda v: jnp.concatenate([v, jnp.zeros_like(v)], axis=1) if v.ndim > 1 else v, program.links
     )
     padded = eqx.tree_at(lambda v: v.before, padded, padded.before.at[2, 1].set(padded.before[2, 0]))
     wide = eqx.tree_at(lambda p: p.links, program, padded)
-    step = lane(steps(ENOUGH), 0)
+    step = element_of(steps(ENOUGH), 0)
     (z, *_, cost), _ = jax.jit(jax.jacfwd(lambda s: solved(s, wide), has_aux=True))(step)
     close((z.target, cost.target), ([[0.0, 1.0], [1.0, 0.0]], ENOUGH[3] * ENOUGH[0]), PATH)
 
 
 def test_second_derivatives_are_refused():
-    step = lane(steps(ENOUGH), 0)
+    step = element_of(steps(ENOUGH), 0)
     with pytest.raises(TypeError, match="first derivatives only"):
         jax.eval_shape(jax.hessian(lambda s: solved(s)[0][3]), step)

@@ -1,4 +1,4 @@
-"""The interior point's compiled loop against the same loop as JAX."""
+"""Compiled loop of the interior point against the same loop as JAX."""
 
 import equinox as eqx
 import jax
@@ -21,7 +21,7 @@ ROUNDING = (
     1e-9  # relative; a few steps amplify rounding that much, as the systems are solved to 1e-11 at worst
 )
 SAME_POINT = 1e-4  # optima of these programs are flat: both loops stop at a gap of 1e-8
-SAME_SUMS = 1e-13  # relative, of products of three numbers
+SAME_SUMS = 1e-13  # relative; products of three numbers
 STEPS = 4
 
 
@@ -46,7 +46,7 @@ SHAPES = {
 }
 
 
-# of which others say the same with more to it
+# covered by the other shapes
 SLOW_SHAPES = ("links fill a pack", "links begin a pack", "three packs", "a link fills a register")
 
 
@@ -67,12 +67,12 @@ def test_steps_are_the_same_to_rounding(shape):
 
 
 def test_many_groups_of_cones():
-    """A gate is a group of its own, and a plan may have many: as good as one group of all."""
+    """Many groups of cones, as many gates give, are as good as one group."""
     program = random_program(1)
     many = eqx.tree_at(lambda p: p.cones, program, program.cones * 9)
     joined = jax.tree.map(lambda v: jnp.concatenate([v] * 9, axis=1), program.cones)
     one = eqx.tree_at(lambda p: p.cones, program, joined)
-    assert native.serves(many)
+    assert native.supports(many)
     assert_same(*(iterate(InteriorPoint(max_iterations=STEPS), p).iterate.x for p in (many, one)), ROUNDING)
 
 
@@ -93,8 +93,8 @@ def test_end_is_the_same(both, seed, kind, norm):
         assert_same(jaxs.z, ours.z, SAME_POINT)
 
 
-def test_no_more_accuracy_than_is_enough():
-    """Each lane to its own: coarser ones take fewer steps, and are near the optimum by as much as they say."""
+def test_accuracy_of_each_batch_element():
+    """Coarser elements take fewer steps, and their distance from the optimum agrees with their accuracy."""
     program = random_program(3, nodes=9)
     accuracies = jnp.array([0.0, 1e-5, 1e-2])
     for compiled in (True, False):
@@ -117,14 +117,13 @@ def test_every_level_that_runs_here_gives_the_same(at_level):
     assert_same(expected.scales, found.scales, SAME_SUMS)
 
 
-def test_lanes_are_bitwise_those_solved_alone(both):
-    """Batched twice, with one lane of NaN and two of fewer entries: workers are used again, and must keep nothing of a
-    lane before that is not so of the next."""
+def test_batch_elements_are_bitwise_those_solved_alone(both):
+    """A batch of batches, one element NaN and two with fewer entries: reused workers must forget the last element."""
     programs = [random_program(seed) for seed in range(6)]
-    for lane in (0, 4):
-        after = programs[lane].links.after
+    for element in (0, 4):
+        after = programs[element].links.after
         fewer = after.at[:, :, 0].set(0.0)
-        programs[lane] = eqx.tree_at(lambda p: p.links.after, programs[lane], fewer)
+        programs[element] = eqx.tree_at(lambda p: p.links.after, programs[element], fewer)
     poisoned = eqx.tree_at(lambda p: p.gradient, programs[2], programs[2].gradient * jnp.nan)
     batch = jax.tree.map(
         lambda *v: jnp.stack(v).reshape(2, 3, *v[0].shape), *programs[:2], poisoned, *programs[3:]
@@ -132,18 +131,18 @@ def test_lanes_are_bitwise_those_solved_alone(both):
     found = jax.tree.map(
         lambda v: v.reshape(6, *v.shape[2:]), jax.jit(jax.vmap(jax.vmap(InteriorPoint())))(batch)
     )
-    for lane in (0, 1, 3, 4, 5):
-        np.testing.assert_array_equal(found.z[lane], both[0](programs[lane]).z)
+    for element in (0, 1, 3, 4, 5):
+        np.testing.assert_array_equal(found.z[element], both[0](programs[element]).z)
 
 
-def test_who_helps_does_not_change_the_answer():
-    """A program alone is solved by as many threads as are free, a batch with a thread for each."""
-    given = random_program(3, nodes=40)
-    pair = jax.tree.map(lambda v: jnp.stack([v, v]), given)
+def test_result_does_not_depend_on_the_number_of_threads():
+    """All free threads solve a single program together; a batch has one thread per element."""
+    program = random_program(3, nodes=40)
+    pair = jax.tree.map(lambda v: jnp.stack([v, v]), program)
     expected = jax.jit(jax.vmap(InteriorPoint().iterate))(pair)
     alone = jax.jit(InteriorPoint().iterate)
     for _ in range(100):
-        for one, of_pair in zip(jax.tree.leaves(alone(given)), jax.tree.leaves(expected), strict=True):
+        for one, of_pair in zip(jax.tree.leaves(alone(program)), jax.tree.leaves(expected), strict=True):
             np.testing.assert_array_equal(one, of_pair[0])
 
 
@@ -153,7 +152,7 @@ def test_float32_and_refusal_run_as_jax():
     assert calls(InteriorPoint(), program)
     assert not calls(InteriorPoint(compiled=False), program)
     small = jax.tree.map(lambda v: v.astype(jnp.float32), program)
-    assert not native.serves(small)
+    assert not native.supports(small)
 
 
 def test_a_program_of_several_kinds_of_numbers_is_scaled_too():
@@ -161,7 +160,7 @@ def test_a_program_of_several_kinds_of_numbers_is_scaled_too():
     matrix = lambda p: p.rows.matrix  # noqa: E731
     mixed = eqx.tree_at(matrix, program, matrix(program).astype(jnp.float32))
     same = eqx.tree_at(matrix, program, matrix(mixed).astype(jnp.float64))
-    assert not native.serves(mixed)
+    assert not native.supports(mixed)
     with jax.numpy_dtype_promotion("standard"):
         _, expected = jax.jit(equilibrate)(same)
         _, found = jax.jit(equilibrate)(mixed)
@@ -170,7 +169,7 @@ def test_a_program_of_several_kinds_of_numbers_is_scaled_too():
 
 @pytest.mark.parametrize("batched", [False, True], ids=["one", "batch"])
 def test_another_device_runs_jax(batched, monkeypatch):
-    """Where JAX's default device is another, one program serves both: each takes its own loop."""
+    """If JAX's default device is a GPU, one traced program has the loop of each device."""
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     solver = InteriorPoint(max_iterations=1)
     program, solve = random_program(0), solver.__call__

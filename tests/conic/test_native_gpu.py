@@ -1,6 +1,6 @@
-"""The GPU's kernel without a GPU: run on a CPU by threads that take turns, and compiled by NVIDIA's compiler.
+"""The GPU's kernel without a GPU: emulated on a CPU by threads that take turns, and compiled by NVIDIA's compiler.
 
-Its steps are compared with those of the loop for CPUs, which ``test_native`` compares with JAX.
+Its steps are compared with the loop for CPUs, which ``test_native`` compares with JAX.
 """
 
 import ctypes
@@ -27,31 +27,31 @@ needs_compiler = pytest.mark.skipif(
 )
 ROUNDING = 1e-9  # relative, as for the loop for CPUs
 STEPS = 4
-THREADS = 64  # of the emulated block: two warps, which wait for each other
+THREADS = 64  # of the emulated block: two warps with barriers between them
 
 SHAPES = {
     "norm cost": {"nodes": 5, "variables": 6, "rows": 3, "cones": 2},
     "quadratic cost, no cones": {"nodes": 4, "cones": 0, "norm": False},
     "more rows than lanes": {"nodes": 2, "variables": 20, "rows": 2},
-    "a lane a row, and an odd column left": {"nodes": 3, "variables": 17, "rows": 2},
-    "a chain that shared memory has no room for": {"nodes": 190, "variables": 8, "rows": 2, "cones": 0},
-    # of a nearly diagonal Hessian, with so many variables tied to each other
-    "three tied": {"nodes": 5, "variables": 10, "rows": 4, "cones": 1, "tied": 3},
-    "none tied": {"nodes": 3, "variables": 6, "rows": 3, "cones": 0, "tied": 1},
-    "two tied, no norm": {"nodes": 3, "variables": 6, "rows": 3, "cones": 1, "tied": 2, "norm": False},
-    "variables outnumber entries": {"nodes": 3, "variables": 18, "rows": 2, "tied": 2, "norm": False},
-    "too many tied": {"nodes": 3, "variables": 6, "rows": 3, "cones": 1, "tied": 4},
+    "one lane per row, and an odd column left": {"nodes": 3, "variables": 17, "rows": 2},
+    "a chain too long for shared memory": {"nodes": 190, "variables": 8, "rows": 2, "cones": 0},
+    # nearly diagonal Hessians, by the number of coupled variables
+    "three coupled": {"nodes": 5, "variables": 10, "rows": 4, "cones": 1, "coupled": 3},
+    "none coupled": {"nodes": 3, "variables": 6, "rows": 3, "cones": 0, "coupled": 1},
+    "two coupled, no norm": {"nodes": 3, "variables": 6, "rows": 3, "cones": 1, "coupled": 2, "norm": False},
+    "variables outnumber entries": {"nodes": 3, "variables": 18, "rows": 2, "coupled": 2, "norm": False},
+    "too many coupled": {"nodes": 3, "variables": 6, "rows": 3, "cones": 1, "coupled": 4},
 }
-ALWAYS = ("norm cost", "three tied")
+ALWAYS = ("norm cost", "three coupled")
 
 
 def emulated(program, folder: Path) -> ctypes.CDLL:
-    """The kernel for a program's sizes, as a handler for CPUs."""
+    """Library of the emulated kernel for a program's sizes, with a handler for CPUs."""
     headers = jax.ffi.include_dir()
     library = folder / "kernel.so"
     source = Path(__file__).parents[1] / "support/gpu_on_a_cpu.cc"
     flags = ["-std=c++20", "-O1", "-fno-math-errno", "-fPIC", "-w", "-shared"]
-    # else a process has only once what a block shares, for kernels of all sizes
+    # Otherwise kernels of all sizes would share one block's static variables in the process.
     flags += ["-fno-gnu-unique"]
     defined = [f"-DJAXSCP_SIZES={gpu.sizes_of(program)}", f"-DJAXSCP_THREADS={THREADS}"]
     found = [
@@ -73,7 +73,7 @@ def emulated(program, folder: Path) -> ctypes.CDLL:
     ],
 )
 def kernel(request, tmp_path_factory):
-    """Programs of one shape, and the name of the kernel that takes them."""
+    """Programs of one shape, and the name of their kernel."""
     programs = [program_of(seed, **request.param) for seed in range(3)]
     name = f"jaxscp_test_kernel_{request.param_index}"
     library = emulated(programs[0], tmp_path_factory.mktemp("kernel"))
@@ -81,15 +81,17 @@ def kernel(request, tmp_path_factory):
     return programs, name
 
 
-def program_of(seed, tied=None, **sizes):
-    """A random program; or one whose half-spaces and cones tie its first variables alone to each other."""
+def program_of(seed, coupled=None, **sizes):
+    """Random program; with ``coupled``, only the first variables of a node are coupled by half-spaces and cones."""
     program = random_program(seed, **sizes)
-    if tied is None:
+    if coupled is None:
         return program
     rows, n = program.rows.matrix.shape[1:]
-    few = (np.arange(n) < tied).astype(float)
+    few = (np.arange(n) < coupled).astype(float)
     single = np.arange(rows)[:, None] % n == np.arange(n)
-    of_rows = np.where(np.arange(rows)[:, None] == 0, few, single)  # all but the first bound a variable each
+    of_rows = np.where(
+        np.arange(rows)[:, None] == 0, few, single
+    )  # all rows but the first bound one variable each
     hessian = program.hessian * np.maximum(np.outer(few, few), np.eye(n))
     return eqx.tree_at(
         lambda p: (p.hessian, p.rows.matrix, p.cones),
@@ -103,7 +105,7 @@ def program_of(seed, tied=None, **sizes):
 
 
 def sparser(program):
-    """The program with fewer entries: links see every other variable, and half-spaces nothing but the first."""
+    """Program with fewer entries: links use every other variable, the first half-space uses one variable."""
     links, rows = program.links, program.rows.matrix
     m, n = links.after.shape[1:]
     alternate = (np.add.outer(np.arange(m), np.arange(n)) % 2 == 0).astype(float)
@@ -115,53 +117,53 @@ def sparser(program):
     )
 
 
-def iterate(solver, programs, near=None):
-    return eqx.filter_jit(jax.vmap(lambda p, n: solver.iterate(p, None, n)))(programs, near)
+def iterate(solver, programs, warm_start=None):
+    return eqx.filter_jit(jax.vmap(lambda p, w: solver.iterate(p, None, w)))(programs, warm_start)
 
 
 @needs_compiler
-@pytest.mark.parametrize("from_near", [False, True], ids=["from afar", "from near"])
-def test_steps_are_the_same_and_lanes_do_not_touch(kernel, monkeypatch, from_near):
+@pytest.mark.parametrize("warm", [False, True], ids=["cold start", "warm start"])
+def test_steps_are_the_same_and_batch_elements_independent(kernel, monkeypatch, warm):
     programs, name = kernel
     poisoned = eqx.tree_at(lambda p: p.gradient, programs[1], programs[1].gradient * jnp.nan)
-    # what programs have alike is found once, and anew where one differs
+    # The sparsity is analysed again only if it differs from the last program's.
     programs = [sparser(programs[0]), poisoned, programs[2], sparser(programs[0])]
     batch = jax.tree.map(lambda *v: jnp.stack(v), *programs)
-    near = None
-    if from_near:
+    warm_start = None
+    if warm:
         tenth = lambda v: jnp.full(v.shape, 0.1)  # noqa: E731
-        nears = [
+        estimates = [
             WarmStart(tenth(p.gradient), jax.tree.map(tenth, ConicMultipliers.zeros(p))) for p in programs
         ]
-        near = jax.tree.map(lambda *v: jnp.stack(v), *nears)
-    expected = iterate(InteriorPoint(max_iterations=STEPS), batch, near)
+        warm_start = jax.tree.map(lambda *v: jnp.stack(v), *estimates)
+    expected = iterate(InteriorPoint(max_iterations=STEPS), batch, warm_start)
     monkeypatch.setattr(native, "TARGET", name)
     monkeypatch.setattr(libraries.Library, "available", lambda _: True)
-    found = iterate(InteriorPoint(max_iterations=STEPS), batch, near)
+    found = iterate(InteriorPoint(max_iterations=STEPS), batch, warm_start)
     assert found.broken.tolist() == [False, True, False, False]
     np.testing.assert_array_equal(found.iterations, expected.iterations)
     for ours, theirs in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
-        for lane in (0, 2, 3):
-            size = max(1.0, float(jnp.max(jnp.abs(theirs[lane]), initial=0.0)))
-            np.testing.assert_allclose(ours[lane], theirs[lane], rtol=0, atol=ROUNDING * size)
+        for element in (0, 2, 3):
+            size = max(1.0, float(jnp.max(jnp.abs(theirs[element]), initial=0.0)))
+            np.testing.assert_allclose(ours[element], theirs[element], rtol=0, atol=ROUNDING * size)
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(gpu.compiler() is None, reason="needs NVIDIA's run-time compiler (extra cuda)")
 @pytest.mark.parametrize("capability", ["80", "90"])
 def test_kernel_compiles(capability):
-    image = gpu.kernel(gpu.sizes_of(random_program(0)), capability)
-    assert image is not None
-    assert image.startswith(b"\x7fELF")
+    cubin = gpu.kernel(gpu.sizes_of(random_program(0)), capability)
+    assert cubin is not None
+    assert cubin.startswith(b"\x7fELF")
 
 
 @pytest.mark.skipif(gpu.compiler() is None, reason="needs NVIDIA's run-time compiler (extra cuda)")
-def test_a_gpu_that_the_compiler_does_not_know_is_left_to_jax():
+def test_an_unknown_gpu_runs_jax():
     with pytest.warns(UserWarning, match="runs as JAX"):
         assert gpu.kernel(gpu.sizes_of(random_program(0)), "999") is None
 
 
-def test_sizes_that_a_warp_cannot_hold_are_left_to_jax():
+def test_sizes_too_large_for_a_warp_run_jax():
     assert gpu.sizes_of(random_program(0, variables=20)).fit
     assert not gpu.sizes_of(random_program(0, variables=34)).fit
-    assert not native.serves_on_gpu(random_program(0))  # JAX runs on a CPU here
+    assert not native.supports_on_gpu(random_program(0))  # JAX runs on a CPU here

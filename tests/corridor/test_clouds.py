@@ -133,9 +133,9 @@ def test_an_empty_table_is_free_space(tmp_path):
 
 
 def test_unknown_suffixes_and_missing_files_are_told(tmp_path):
-    (tmp_path / "map.las").write_text("")
+    (tmp_path / "map.las2").write_text("")
     with pytest.raises(CloudFileError, match=r"known are \.pcd"):
-        read_cloud(tmp_path / "map.las")
+        read_cloud(tmp_path / "map.las2")
     with pytest.raises(FileNotFoundError, match="no such file"):
         read_cloud(tmp_path / "absent.pcd")
 

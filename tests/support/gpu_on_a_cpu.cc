@@ -26,13 +26,13 @@ void add_products(double (&sums)[2], double a, double b) {
 #include "buffers.h"
 
 static xla::ffi::Error solve(xla::ffi::RemainingArgs args, xla::ffi::RemainingRets rets, xla::ffi::Dictionary attrs) {
-  auto found = jaxscp::shaped(args, rets, attrs);
+  auto found = jaxscp::sized_batch(args, rets, attrs);
   if (!found.has_value()) return found.error();
-  long long found_room[5], &numbers = found_room[0];
-  jaxscp_room(found_room);
-  std::vector<double> room(numbers, std::nan(""));
-  unsigned long long taken = 0;
-  emulated::run(JAXSCP_THREADS, [&] { jaxscp_solve(found->batch, room.data(), numbers, &taken); });
+  long long sizes[5], &numbers = sizes[0];
+  jaxscp_workspace(sizes);
+  std::vector<double> workspace(numbers, std::nan(""));
+  unsigned long long next = 0;
+  emulated::run(JAXSCP_THREADS, [&] { jaxscp_solve(found->batch, workspace.data(), numbers, &next); });
   return xla::ffi::Error::Success();
 }
 

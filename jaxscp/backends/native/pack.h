@@ -2,7 +2,7 @@
 //
 // A formula that is the same at every location is written once, for a Pack in place of a number, and compiles to vector
 // instructions. A Pack is as wide as the machine's registers: compilers split comparisons and permutations of wider
-// vectors into scalar code. On a GPU, where each thread takes a location (``threads.h``), a Pack is one number.
+// vectors into scalar code. On a GPU, where each thread takes a location (``parallel.h``), a Pack is one number.
 #pragma once
 
 #if !defined(__CUDACC__)

@@ -1,14 +1,14 @@
-// Room for arrays: one stretch of memory for a program and its solver, from which each takes what it needs.
+// Arena allocation: the arrays of a program and its solver lie in one block of memory.
 #pragma once
 
 #include "layout.h"
-#include "threads.h"
+#include "parallel.h"
 
 namespace jaxscp {
 
 #if defined(__CUDACC__)
-// A number of an array. Said to the compiler, which need not read again after each what is in shared memory: where
-// arrays begin, say.
+// Number of an array in global memory. Told so, the compiler need not reload shared memory (the arrays' addresses, for
+// example) after each write.
 inline double& in_global_memory(double* number) {
 #if !defined(JAXSCP_EMULATED_GPU)
   __builtin_assume(__isGlobal(number));
@@ -17,8 +17,8 @@ inline double& in_global_memory(double* number) {
 }
 #endif
 
-// The numbers that a vector has at one place. On a GPU those of neighbouring places, which neighbouring threads work
-// on, lie side by side.
+// Numbers of a vector at one stage. On a GPU, numbers of neighbouring stages are adjacent, since neighbouring threads
+// process neighbouring stages.
 #if defined(__CUDACC__)
 struct Entries {
   double* array;
@@ -30,7 +30,7 @@ struct Entries {
 using Entries = Pack*;
 #endif
 
-// An array in the arena; copies are of the same numbers.
+// Array in the arena; copies refer to the same numbers.
 struct Packs {
   Pack* data = nullptr;
   int size = 0;
@@ -40,10 +40,10 @@ struct Packs {
   Pack& operator[](int i) const { return data[i]; }
 #endif
 
-  // So many of them, from one on.
+  // Subarray of ``count`` packs.
   Packs part(int first, int count) const { return {data ? data + first : nullptr, count}; }
 
-  // Those at pack p, of ``count`` at every pack.
+  // Entries of stage pack p, with ``count`` entries per pack.
 #if defined(__CUDACC__)
   Entries of(int p, int) const { return {data, static_cast<unsigned>(p)}; }
 #else
@@ -53,7 +53,7 @@ struct Packs {
 
 class Arena {
  public:
-  // Without memory it only counts.
+  // Without memory, the arena only adds up the sizes.
   explicit Arena(Pack* memory = nullptr) : memory_(memory) {}
 
   Packs take(int count) {
@@ -68,37 +68,37 @@ class Arena {
   long long used() const { return used_; }
 
  private:
-  static constexpr int kAligned = kTogether / kWidth;
+  static constexpr int kAligned = kStageMultiple / kWidth;
 
   Pack* memory_;
   long long used_ = 0;
 };
 
-// What is read again and again while other numbers pass by. On a GPU shared memory has it, as long as there is room: a
-// cache would lose it, and to find an entry would take two turns to memory.
+// Indices that are read repeatedly. On a GPU they are copied to shared memory while there is capacity: the cache would
+// evict them, and reading an entry would take two accesses to global memory.
 #if defined(__CUDACC__)
-class Near {
+class FastIndices {
  public:
-  // By one thread: where it is to be.
-  int* take(int* far, int count) {
-    if (used() + count > kRoom) return far;
+  // Address of the copy, or of the original if the capacity is used up; called by one thread.
+  int* take(int* global, int count) {
+    if (used() + count > kCapacity) return global;
     used() += count;
     return integers() + used() - count;
   }
-  // By all.
-  static void copy(const int* far, int* near, int count) {
-    share(near == far ? 0 : count, [&](int i) { near[i] = far[i]; });
+  // Copies the indices; called by all threads.
+  static void copy(const int* global, int* fast, int count) {
+    parallel_for(fast == global ? 0 : count, [&](int i) { fast[i] = global[i]; });
   }
 
-  Near() {
+  FastIndices() {
     once([&] { used() = 0; });
   }
 
  private:
-  static constexpr int kRoom = 768;
+  static constexpr int kCapacity = 768;
   static int* integers() {
-    __shared__ int room[kRoom];
-    return room;
+    __shared__ int numbers[kCapacity];
+    return numbers;
   }
   static int& used() {
     __shared__ int count;
@@ -106,8 +106,8 @@ class Near {
   }
 };
 #else
-struct Near {
-  static int* take(int* far, int) { return far; }
+struct FastIndices {
+  static int* take(int* global, int) { return global; }
   static void copy(const int*, int*, int) {}
 };
 #endif

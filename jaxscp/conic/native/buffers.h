@@ -1,4 +1,4 @@
-// What XLA passes to a handler, read as a batch of programs: the same on every device.
+// XLA's buffers as a batch of programs, on every device.
 #pragma once
 
 #include <algorithm>
@@ -10,15 +10,15 @@ namespace jaxscp {
 
 namespace ffi = xla::ffi;
 
-// A batch, and the sizes of each of its programs.
-struct Shaped {
+// A batch, and the sizes of its programs.
+struct SizedBatch {
   Sizes sizes;
   Batch batch;
 };
 
-// Arguments and results are those of ``native/__init__.py``, in its order; so are the attributes.
-inline ffi::ErrorOr<Shaped> shaped(ffi::RemainingArgs args, ffi::RemainingRets rets, ffi::Dictionary attrs) {
-  Shaped s{};
+// Batch from the arguments, results and attributes of ``native/__init__.py``, in the same order.
+inline ffi::ErrorOr<SizedBatch> sized_batch(ffi::RemainingArgs args, ffi::RemainingRets rets, ffi::Dictionary attrs) {
+  SizedBatch s{};
   Batch& b = s.batch;
   ffi::Error error = ffi::Error::Success();
   auto number = [&](const char* name) {
@@ -36,9 +36,9 @@ inline ffi::ErrorOr<Shaped> shaped(ffi::RemainingArgs args, ffi::RemainingRets r
                 integer("equilibration")};
   s.sizes.has_norm = integer("has_norm") != 0;
 
-  // axes from the end: of the last, one
+  // length of the k-th axis from the end; k = 1 is the last axis
   auto axis = [](const auto& v, size_t k) { return static_cast<int>(v.dimensions()[v.dimensions().size() - k]); };
-  auto stride = [&](size_t numbers) { return static_cast<long long>(numbers) / std::max<long long>(b.lanes, 1); };
+  auto stride = [&](size_t numbers) { return static_cast<long long>(numbers) / std::max<long long>(b.size, 1); };
   auto argument = [&](size_t i, Input& to, int* first = nullptr, int* second = nullptr) {
     auto v = args.get<ffi::Buffer<ffi::F64>>(i);
     if (!v.has_value()) return void(error = v.error());
@@ -46,8 +46,8 @@ inline ffi::ErrorOr<Shaped> shaped(ffi::RemainingArgs args, ffi::RemainingRets r
     if (first) *first = axis(*v, 2);
     if (second) *second = axis(*v, 1);
   };
-  constexpr size_t kTolerance = 9;  // has one number a lane
-  if (auto v = args.get<ffi::Buffer<ffi::F64>>(kTolerance); v.has_value()) b.lanes = v->element_count();
+  constexpr size_t kTolerance = 9;  // has one number per batch element
+  if (auto v = args.get<ffi::Buffer<ffi::F64>>(kTolerance); v.has_value()) b.size = v->element_count();
   size_t next = 0;
   argument(next++, b.hessian);
   argument(next++, b.gradient, &s.sizes.nodes, &s.sizes.variables);
@@ -55,13 +55,13 @@ inline ffi::ErrorOr<Shaped> shaped(ffi::RemainingArgs args, ffi::RemainingRets r
   argument(next++, b.after);
   argument(next++, b.link_offset);
   argument(next++, b.soft, nullptr, &s.sizes.link_rows);
-  argument(next++, b.link_weight);
+  argument(next++, b.penalty_weight);
   argument(next++, b.row_matrix);
   argument(next++, b.row_offset, nullptr, &s.sizes.rows);
   argument(next++, b.tolerance);
-  const bool has_near = integer("has_near") != 0;
-  s.sizes.groups = static_cast<int>(args.size() - next - (s.sizes.has_norm ? 3 : 0) - (has_near ? 3 : 0)) /
-                   (has_near ? 3 : 2);
+  const bool has_warm_start = integer("has_warm_start") != 0;
+  s.sizes.groups = static_cast<int>(args.size() - next - (s.sizes.has_norm ? 3 : 0) - (has_warm_start ? 3 : 0)) /
+                   (has_warm_start ? 3 : 2);
   if (s.sizes.groups > kMaxGroups) return ffi::Unexpected(ffi::Error::InvalidArgument("too many groups of cones"));
   int cones = 2, rows = 0;
   for (int c = 0; c < s.sizes.groups; ++c) {
@@ -75,9 +75,9 @@ inline ffi::ErrorOr<Shaped> shaped(ffi::RemainingArgs args, ffi::RemainingRets r
   if (cones > kMaxCones) return ffi::Unexpected(ffi::Error::InvalidArgument("too many cones at a node"));
   if (s.sizes.has_norm)
     for (Input* to : {&b.norm_weight, &b.norm_scale, &b.norm_centre}) argument(next++, *to);
-  if (has_near) {
-    for (Input* to : {&b.near_z, &b.near_links, &b.near_rows}) argument(next++, *to);
-    for (int c = 0; c < s.sizes.groups; ++c) argument(next++, b.near_cones[c]);
+  if (has_warm_start) {
+    for (Input* to : {&b.warm_z, &b.warm_links, &b.warm_rows}) argument(next++, *to);
+    for (int c = 0; c < s.sizes.groups; ++c) argument(next++, b.warm_cones[c]);
   }
 
   auto result = [&](size_t i, auto tag, auto& to, int* first = nullptr, int* second = nullptr) {

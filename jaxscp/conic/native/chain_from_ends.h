@@ -1,8 +1,8 @@
-// The Schur complement in the link multipliers, on a CPU: block tridiagonal, factored as L D L' from both ends to the
-// middle, block after block.
+// Schur complement in the link multipliers on a CPU: block tridiagonal, factored as L D L' from both ends to the
+// middle.
 //
-// A register holds numbers of a column of one block. With those of as many blocks, as everywhere else, only cyclic
-// reduction would fill it, at three times the arithmetic. Each end can have its thread.
+// A register holds numbers of one column of one block. Elsewhere a register holds numbers of several stages; here only
+// cyclic reduction would allow that, with three times the arithmetic. Each end can have its own thread.
 #pragma once
 
 #include <span>
@@ -11,25 +11,25 @@
 
 namespace jaxscp {
 
-// Sides of a system that are solved together, at most.
-constexpr int kSides = 2;
+// Largest number of right-hand sides that are solved together.
+constexpr int kMaxRhs = 2;
 
 class Chain {
  public:
   Chain(const Program& program, Arena& arena)
       : m_(program.m), links_(program.nodes + 1), middle_(links_ / 2), height_(packs_for(m_)), packs_(program.packs),
         panels_(arena.take(links_ * panel())), scaled_(arena.take(4 * panel())), inverse_(arena.take(links_ * height_)),
-        turned_(arena.take(links_ * height_ * kWidth)), vector_(arena.take(links_ * kSides * height_)),
-        solution_(arena.take(packs_ * m_ * kSides)) {}
+        transposed_(arena.take(links_ * height_ * kWidth)), vector_(arena.take(links_ * kMaxRhs * height_)),
+        solution_(arena.take(packs_ * m_ * kMaxRhs)) {}
 
-  // Takes the matrix: diagonal(p, i, j) of its lower triangle, and above(p, i, j) of S_{l,l+1}.
+  // Reads the matrix: diagonal(p, i, j) in the lower triangle of S_{l,l}, and above(p, i, j) of S_{l,l+1}.
   template <typename Diagonal, typename Above>
   void read(Diagonal diagonal, Above above) {
-    share(packs_, Parts{m_ * height_}, [&](int p, int k) {
+    parallel_for(packs_, Parts{m_ * height_}, [&](int p, int k) {
       const int j = k / height_, h = k % height_;
       auto to = [&](int first) { return [=, this](int l) -> Pack& { return panel(l)[j * column() + first + h]; }; };
       if (h >= j / kWidth) to_links(p, h, 0, links_, [&](int i) { return diagonal(p, i, j); }, to(0));
-      // a block's neighbour is towards the middle
+      // the neighbour of a block is the next one towards the middle
       to_links(p, h, 0, middle_, [&](int i) { return above(p, j, i); }, to(height_));
       auto next = [&](int l) -> Pack& { return to(height_)(l + 1); };
       to_links(p, h, middle_, links_ - 1, [&](int i) { return above(p, i, j); }, next);
@@ -37,13 +37,13 @@ class Chain {
   }
 
   void factor() {
-    share_among_teams(2, [&](int end) {
+    parallel_for_teams(2, [&](int end) {
       for (int t = 0; t < count(end); ++t) {
         const Neighbour before = eliminated(end, t - 1);
         eliminate(link(end, t), scaled(end, t), std::span(&before, t > 0));
       }
     });
-    share_among_teams(1, [&](int) {
+    parallel_for_teams(1, [&](int) {
       Neighbour before[2];
       int many = 0;
       for (int end = 0; end < 2; ++end)
@@ -52,29 +52,29 @@ class Chain {
     });
   }
 
-  // For S right sides: right(p, i, s) gives row i of side s, and ``solution`` what is found.
+  // Solves for S right-hand sides right(p, i, s), i being the row and s the side; see ``solution``.
   template <int S, typename Right>
   void solve(Right right) {
-    share(packs_, Parts{height_ * S}, [&](int p, int k) {
+    parallel_for(packs_, Parts{height_ * S}, [&](int p, int k) {
       const int h = k / S, s = k % S;
       to_links(p, h, 0, links_, [&](int i) { return right(p, i, s); }, [&](int l) -> Pack& { return vector(l, s)[h]; });
     });
-    share_among_teams(2, [&](int end) {
+    parallel_for_teams(2, [&](int end) {
       for (int t = 0; t < count(end); ++t) {
         if (t > 0) take_from<S>(link(end, t - 1), link(end, t));
         descend<S>(link(end, t));
       }
     });
-    share_among_teams(1, [&](int) {
+    parallel_for_teams(1, [&](int) {
       for (int end = 0; end < 2; ++end)
         if (count(end) > 0) take_from<S>(link(end, count(end) - 1), middle_);
       descend<S>(middle_);
       ascend<S>(middle_, -1);
     });
-    share_among_teams(2, [&](int end) {
+    parallel_for_teams(2, [&](int end) {
       for (int t = count(end) - 1, next = middle_; t >= 0; --t) ascend<S>(link(end, t), next), next = link(end, t);
     });
-    share(packs_, Parts{height_ * S}, [&](int p, int k) {
+    parallel_for(packs_, Parts{height_ * S}, [&](int p, int k) {
       const int h = k / S, s = k % S;
       Pack v[kWidth];
       for (int lane = 0; lane < kWidth; ++lane) {
@@ -83,27 +83,27 @@ class Chain {
       }
       transpose(v);
       const int first = h * kWidth, end = std::min(m_, first + kWidth);
-      for (int i = first; i < end; ++i) solution_[(p * m_ + i) * kSides + s] = v[i - first];
+      for (int i = first; i < end; ++i) solution_[(p * m_ + i) * kMaxRhs + s] = v[i - first];
     });
   }
 
-  // Row i of side s.
-  Pack solution(int p, int i, int s) const { return solution_[(p * m_ + i) * kSides + s]; }
+  // Row i of solution s.
+  Pack solution(int p, int i, int s) const { return solution_[(p * m_ + i) * kMaxRhs + s]; }
 
  private:
-  static constexpr int kColumns = std::min(4, kWidth);  // at once, whose diagonal is in one pack
+  static constexpr int kColumns = std::min(4, kWidth);  // eliminated at once; their diagonal is in one pack
 
-  // Columns of a block's panel: its own rows, then those of the block that is eliminated next.
+  // Packs of a panel's column: the block's own rows, then the rows of the block that is eliminated next.
   int column() const { return 2 * height_; }
   int panel() const { return m_ * column(); }
 
-  // A block that was eliminated before: columns of L, and these times D.
+  // A block that is already eliminated: columns of L, and of L D.
   struct Neighbour {
     const Pack *unit, *scaled;
   };
   using Neighbours = std::span<const Neighbour>;
 
-  // From an end, 0 or 1: how many blocks, and which is the t-th.
+  // Number of blocks that are eliminated from an end (0 or 1), and the t-th of them.
   int count(int end) const { return end == 0 ? middle_ : links_ - 1 - middle_; }
   int link(int end, int t) const { return end == 0 ? t : links_ - 1 - t; }
   Neighbour eliminated(int end, int t) const {
@@ -112,12 +112,12 @@ class Chain {
 
   Pack* panel(int l) const { return &panels_[l * panel()]; }
   Pack* scaled(int end, int t) const { return &scaled_[(2 * end + t % 2) * panel()]; }
-  Pack* vector(int l, int s) const { return &vector_[(l * kSides + s) * height_]; }
+  Pack* vector(int l, int s) const { return &vector_[(l * kMaxRhs + s) * height_]; }
 
   static double* numbers(Pack* v) { return reinterpret_cast<double*>(v); }
   static const double* numbers(const Pack* v) { return reinterpret_cast<const double*>(v); }
 
-  // A pack of rows of a column, for a pack of places each, to the links among them that are from ``begin`` to ``end``.
+  // Transposes rows (packs over stages) into packs over rows, and writes them to links begin .. end - 1.
   template <typename Rows, typename To>
   void to_links(int p, int h, int begin, int end, Rows rows, To to) {
     const int first = std::max(begin, p * kWidth), last = std::min(end, (p + 1) * kWidth);
@@ -128,7 +128,7 @@ class Chain {
     for (int l = first; l < last; ++l) to(l) = v[l % kWidth];
   }
 
-  // to[c] -= each of so many columns from ``v``, times the (j + c)-th number of the same column from ``w``.
+  // to[c] -= sum over ``count`` columns of v, times number j + c of the same column of w.
   template <int C, int T>
   void subtract(Pack (&to)[C][T], const Pack* v, const Pack* w, int j, int count) const {
     for (int k = 0; k < count; ++k)
@@ -138,7 +138,7 @@ class Chain {
       }
   }
 
-  // What is left of columns j .. j + C - 1 when those before them are eliminated, at packs h .. h + T - 1.
+  // Columns j .. j + C - 1 after elimination of all columns before them, at packs h .. h + T - 1.
   template <int C, int T>
   void leave(Pack* unit, Pack* scaled, Neighbours before, int j, int h) const {
     Pack v[C][T];
@@ -160,7 +160,7 @@ class Chain {
       for (; h + 2 <= end; h += 2) leave<C, 2>(unit, scaled, before, j, h);
       if (h < end) leave<C, 1>(unit, scaled, before, j, h);
     }
-    double v[C][C], l[C][C], over[C];  // the diagonal's block, numbers alone
+    double v[C][C], l[C][C], over[C];  // the diagonal block, as numbers
     for (int c = 0; c < C; ++c)
       for (int i = c; i < C; ++i) {
         v[i][c] = numbers(scaled + (j + c) * column())[j + i];
@@ -195,11 +195,11 @@ class Chain {
       Pack v[kWidth];
       for (int k = 0; k < kWidth; ++k) v[k] = h * kWidth + k < m_ ? unit[(h * kWidth + k) * column() + h] : all(0.0);
       transpose(v);
-      for (int k = 0; k < kWidth; ++k) turned_[(l * height_ + h) * kWidth + k] = v[k];
+      for (int k = 0; k < kWidth; ++k) transposed_[(l * height_ + h) * kWidth + k] = v[k];
     }
   }
 
-  // What a block that was eliminated takes from the right side of the next.
+  // Updates the right-hand sides of the next block with those of an eliminated one.
   template <int S>
   void take_from(int from, int to) {
     for (int h = 0; h < height_; ++h) {
@@ -228,7 +228,7 @@ class Chain {
     }
   }
 
-  // v = L'^-1 (D^-1 v - K' v_next), K being what L has in the rows of the next.
+  // v = L'^-1 (D^-1 v - K' v_next), K being the rows of L that belong to the next block.
   template <int S>
   void ascend(int l, int next) {
     for (int h = height_ - 1; h >= 0; --h) {
@@ -247,7 +247,7 @@ class Chain {
       }
 #pragma GCC unroll 8
       for (int k = kWidth - 1; k > 0; --k)
-        for (int s = 0; s < S; ++s) v[s] -= turned_[(l * height_ + h) * kWidth + k] * all(v[s][k]);
+        for (int s = 0; s < S; ++s) v[s] -= transposed_[(l * height_ + h) * kWidth + k] * all(v[s][k]);
       for (int s = 0; s < S; ++s) vector(l, s)[h] = v[s];
     }
   }
@@ -259,11 +259,11 @@ class Chain {
   }
 
   int m_, links_, middle_, height_, packs_;
-  Packs panels_;             // of the matrix, and then L below its diagonal
-  Packs scaled_;             // L D, of the last two blocks from each end
-  Packs inverse_;            // of D
-  Packs turned_;             // L on the diagonal by rows, a pack of them: to go up without sums across a register
-  Packs vector_, solution_;  // by links, and by packs
+  Packs panels_;             // the matrix, later L below its diagonal
+  Packs scaled_;             // L D of the last two blocks from each end
+  Packs inverse_;            // D^-1
+  Packs transposed_;         // diagonal blocks of L by rows, for substitution without sums across a register
+  Packs vector_, solution_;  // by links, and by packs of stages
 };
 
 }  // namespace jaxscp

@@ -1,9 +1,9 @@
-// Cholesky's method on the leading block of a symmetric matrix, carried on into the rows below it:
+// Cholesky factorisation of the leading block of a symmetric matrix, extended to the rows below the block:
 //
 //     [ A  B' ]   [ L  0 ] [ 1   0   ] [ L' K' ]        K = B L'^-1
 //     [ B  0  ] = [ K  1 ] [ 0 -K K' ] [ 0  1  ]
 //
-// A is eliminated and K K' is what the rest gets.
+// A is eliminated; K K' updates the remaining block.
 #pragma once
 
 #include <algorithm>
@@ -16,7 +16,8 @@ struct PanelShape {
   int size, rows;
 };
 
-// A panel is [A; B] by rows: the first ``size`` rows hold A's lower triangle, then L with 1 / L_jj on its diagonal.
+// A panel is [A; B] by rows. Its first ``size`` rows hold the lower triangle of A, later L with 1 / L_jj on the
+// diagonal.
 
 constexpr int kTile = 4;  // 4 x 4 sums fill the registers
 
@@ -32,7 +33,7 @@ inline void products(const Pack* a, int a_stride, const Pack* b, int b_stride, i
       for (int j = 0; j < C; ++j) sums[i][j] += a[i * a_stride + k] * b[j * b_stride + k];
 }
 
-// Columns j .. j + C - 1 of rows i .. i + R - 1, below the diagonal's tile, which is done.
+// Columns j .. j + C - 1 of rows i .. i + R - 1, below the diagonal tile, which is already factored.
 template <int R, int C>
 inline void below(Pack* panel, int size, int i, int j) {
   Pack sums[R][C];
@@ -73,7 +74,7 @@ inline void columns(Pack* panel, int size, int rows, int j) {
   }
 }
 
-// Rows i .. and columns j .. of a gram matrix, ``stride`` packs a row.
+// Tile (i, j) of a product A B', with ``stride`` packs per row.
 template <int R, int C>
 inline void gram(const Pack* a, int i, const Pack* b, int j, int size, Pack* out, int stride) {
   Pack sums[R][C];
@@ -106,7 +107,7 @@ inline void eliminate(PanelShape shape, Pack* panel) {
   }
 }
 
-// out = A B' for ``count`` rows each of ``size``; of A A' at least the lower triangle.
+// out = A B' for ``count`` rows of ``size`` numbers; of A A' at least the lower triangle.
 inline void gram(const Pack* a, const Pack* b, int count, int size, Pack* out) {
   int i = 0;
   auto columns = [&](int end) { return a == b ? std::min(end, count) : count; };
@@ -118,7 +119,8 @@ inline void gram(const Pack* a, const Pack* b, int count, int size, Pack* out) {
   }
 }
 
-// Of the rows below, the upper half a and the lower half b: out = a a', b b' (at least their lower triangles), a b'.
+// out = (a a', b b', a b') for the upper half a and the lower half b of the rows below; the first two at least in their
+// lower triangles.
 inline void grams(PanelShape shape, const Pack* panel, Pack* out) {
   int size = shape.size, half = (shape.rows - size) / 2;
   const Pack *a = panel + size * size, *b = a + half * size;
@@ -127,7 +129,7 @@ inline void grams(PanelShape shape, const Pack* panel, Pack* out) {
   gram(a, b, half, size, out + 2 * half * half);
 }
 
-// out = L^-1 right for the rows of A, and K L^-1 right for those below; S right sides at once, side by side.
+// Forward substitution for S adjacent right-hand sides: out = L^-1 right in the rows of A, K L^-1 right below.
 template <int S>
 inline void descend(PanelShape shape, const Pack* panel, const Pack* right, Pack* out) {
   auto [size, rows] = shape;
@@ -155,7 +157,7 @@ inline void descend(PanelShape shape, const Pack* panel, const Pack* right, Pack
   }
 }
 
-// In place: the first rows become L'^-1 (v - K' v_below).
+// Backward substitution in place: the rows of A become L'^-1 (v - K' v_below).
 template <int S>
 inline void ascend(PanelShape shape, const Pack* panel, Pack* v) {
   auto [size, rows] = shape;

@@ -1,48 +1,48 @@
-// What ``elimination.h`` does, by the lanes of a warp together.
+// Elimination as in ``elimination.h``, by the lanes of a warp together.
 //
 //     [ A  B' ]
 //     [ B  0  ]       A = L L',  M = L'^-1,  K = B M
 //
-// M in place of L makes products of solutions: A^-1 = M M'. Lane i has row i of A in its registers while the columns are
-// eliminated; products are for tensor cores.
+// M instead of L turns solutions into products: A^-1 = M M'. Lane i holds row i of A in registers during elimination;
+// the products run on tensor cores.
 #pragma once
 
 #include "layout.h"
-#include "shared_room.h"
+#include "shared_memory.h"
 
 namespace jaxscp {
 
-// M in place of A, whose lower triangle is given by columns; M's is zero then.
+// Replaces A, whose lower triangle is given by columns, by the upper triangular M.
 //
-// Two columns are eliminated at once. Their pivots [a b; b c] need two roots that do not wait for each other: of a and
-// of the determinant. Of a row whose turn it was nothing is needed any more: from there on its lane has a row of the
-// identity, as if that had been below.
+// Two columns are eliminated at once. Their pivot block [a b; b c] needs two independent roots: of a and of the
+// determinant. An eliminated row is no longer needed; from then on its lane holds a row of the identity, as if the
+// identity were below A.
 template <int kSize>
 JAXSCP_CALLED void invert_factor(double* tile) {
-  // small enough, a row's even columns have a lane and its odd ones another
+  // With few rows, one lane holds a row's even columns and another its odd columns.
   constexpr int kHalves = 2 * kSize <= kWarp ? 2 : 1, kOther = kWarp / 2, kSlots = (kSize + kHalves - 1) / kHalves;
-  constexpr int kAtOnce = 4;  // numbers of others that are read before they are used
-  static_assert(kSize <= kWarp && 4 * kSize <= kPassed, "a lane for each row");
+  constexpr int kAtOnce = 4;  // reads that overlap
+  static_assert(kSize <= kWarp && 4 * kSize <= kWarpScratch, "a lane for each row");
   struct alignas(16) Both {
     double column, next;
   };
   const int half = kHalves == 2 ? lane_of_warp() / kOther : 0, i = lane_of_warp() - half * kOther;
   const bool there = i < kSize;
-  double row[kSlots];  // from the column on that is next
+  double row[kSlots];  // from the next column on
 #pragma unroll
   for (int s = 0; s < kSlots; ++s) {
     const int j = s * kHalves + half;
     row[s] = there && j < kSize ? tile[j * kSize + i] : 0.0;
   }
-  Both* eliminated = reinterpret_cast<Both*>(passed());  // zero from kSize on
+  Both* eliminated = reinterpret_cast<Both*>(warp_scratch());  // zero from kSize on
   for (int k = lane_of_warp(); k < 2 * kSize; k += kWarp) eliminated[k] = {0.0, 0.0};
   __syncwarp();
 #pragma unroll
   for (int j = 0; j + 1 < kSize; j += 2) {
-    const double mine = kHalves == 2 ? __shfl_sync(kEvery, row[0], i) : row[0];
-    const double mine_next = kHalves == 2 ? __shfl_sync(kEvery, row[0], i + kOther) : row[1 % kSlots];
-    const double a = __shfl_sync(kEvery, mine, j), b = __shfl_sync(kEvery, mine, j + 1);
-    const double c = __shfl_sync(kEvery, mine_next, j + 1);
+    const double mine = kHalves == 2 ? __shfl_sync(kAllLanes, row[0], i) : row[0];
+    const double mine_next = kHalves == 2 ? __shfl_sync(kAllLanes, row[0], i + kOther) : row[1 % kSlots];
+    const double a = __shfl_sync(kAllLanes, mine, j), b = __shfl_sync(kAllLanes, mine, j + 1);
+    const double c = __shfl_sync(kAllLanes, mine_next, j + 1);
     const double over = inverse_root(a), over_next = a * over * inverse_root(a * c - b * b), between = b * over;
     const bool turn = i == j, turn_next = i == j + 1, spent = turn || turn_next;
     const double first = turn ? over : turn_next ? 0.0 : mine * over;
@@ -67,14 +67,14 @@ JAXSCP_CALLED void invert_factor(double* tile) {
     __syncwarp();
   }
   if (constexpr int j = kSize - 1; kSize % 2 == 1) {
-    const double over = inverse_root(__shfl_sync(kEvery, row[0], j));
+    const double over = inverse_root(__shfl_sync(kAllLanes, row[0], j));
     if (there && half == 0) tile[j * kSize + i] = (i == j ? 1.0 : row[0]) * over;
   }
   __syncwarp();
 }
 
-// 8 x 8 sums of products of 8 x 4 and 4 x 8 numbers, which tensor cores add to: they take a whole warp. Of the factors
-// lane 4 i + k has entries (i, k) and (k, i), of the sums two neighbours of row i, from column 2 k on.
+// Adds the product of an 8 x 4 and a 4 x 8 matrix to 8 x 8 sums, on the tensor cores of a whole warp. Lane 4 i + k
+// holds entry (i, k) of the first factor, (k, i) of the second, and two sums in row i, from column 2 k on.
 #if defined(JAXSCP_EMULATED_GPU)
 void add_products(double (&sums)[2], double a, double b);
 #else
@@ -85,7 +85,7 @@ inline void add_products(double (&sums)[2], double a, double b) {
 }
 #endif
 
-// A tile of K K' of two ``Row``s of K: put takes its sums as they lie.
+// Tile of K K' from two ``Row``s of K: put receives this lane's two sums.
 template <typename Row, typename Put>
 inline void gram(const Row& a, const Row& b, Put put) {
   double sums[2] = {};
@@ -95,9 +95,8 @@ inline void gram(const Row& a, const Row& b, Put put) {
   put(sums);
 }
 
-// Products of an eliminated panel: M is in a tile. Eight rows of what is below A, and of K, are a ``Row``, as they lie in
-// the registers of the tensor cores' sums; as such they are factors for the next product, whose columns are then taken in
-// another order.
+// Products with M, which is in a tile. A ``Row`` is eight rows of K = B M, in the registers of the tensor cores' sums.
+// It is a factor of the next product, with the columns in another order.
 template <int kSize>
 class Products {
  public:
@@ -110,7 +109,7 @@ class Products {
 
   explicit Products(const double* tile) : tile_(tile) {}
 
-  // Of K the rows whose b(i, j), i < 8, are given.
+  // Eight rows of K, from the entries b(i, j), i < 8, of B.
   template <typename Below>
   Row find(Below below) const {
     Row found;
@@ -125,7 +124,7 @@ class Products {
     return found;
   }
 
-  // Entries (i, j), i < 8, of B A^-1 = K M'.
+  // Calls put(i, j, value) for entries i < 8 of B A^-1 = K M'.
   template <typename Put>
   void each_of_solved(const Row& of_k, Put put) const {
 #pragma unroll
@@ -142,7 +141,7 @@ class Products {
     }
   }
 
-  // Entries of A^-1 = M M'.
+  // Calls put(i, j, value) for entries of A^-1 = M M'.
   template <typename Put>
   void each_of_inverse(Put put) const {
 #pragma unroll
@@ -170,8 +169,8 @@ class Products {
   int row_ = lane_of_warp() / 4, column_ = lane_of_warp() % 4;
 };
 
-// out = M' v for S vectors side by side, M being upper triangular and given by the columns of that triangle: four lanes
-// a column.
+// out = M' v for S adjacent vectors; M is upper triangular, stored by the columns of its triangle. Four lanes share a
+// column.
 template <int S, int kSize>
 inline void times_transposed(const double* triangle, const double* v, double* out) {
   const int lane = lane_of_warp(), quarter = lane % 4;
@@ -184,7 +183,7 @@ inline void times_transposed(const double* triangle, const double* v, double* ou
       if (int i = 4 * k + quarter; i <= j && j < kSize)
         for (int s = 0; s < S; ++s) sums[s] += triangle[j * (j + 1) / 2 + i] * v[i * S + s];
     for (int s = 0; s < S; ++s) {
-      for (int apart = 1; apart < 4; apart *= 2) sums[s] += __shfl_xor_sync(kEvery, sums[s], apart);
+      for (int distance = 1; distance < 4; distance *= 2) sums[s] += __shfl_xor_sync(kAllLanes, sums[s], distance);
       if (quarter == 0 && j < kSize) out[j * S + s] = sums[s];
     }
   }

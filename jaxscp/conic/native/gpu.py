@@ -1,7 +1,8 @@
-"""The kernel of the interior point for NVIDIA GPUs: ``kernel.cu``, compiled for a program's sizes when it is needed.
+"""The interior point's kernel for NVIDIA GPUs: ``kernel.cu``, compiled for a program's sizes on first use.
 
-NVIDIA's run-time compiler, in the extra ``cuda``, makes it from the same headers as the loop for CPUs; what launches it
-is compiled with that loop. Without either, and on other GPUs, the interior point runs as JAX.
+NVIDIA's run-time compiler (extra ``cuda``) compiles the kernel from the same headers as the loop for CPUs. The handler
+that launches the kernel is compiled together with that loop. Without either, and on other GPUs, the interior point runs
+as JAX.
 """
 
 import functools
@@ -15,14 +16,14 @@ from jaxscp.backends.cuda import compiler
 from jaxscp.conic.program import StagedProgram
 
 TARGET = libraries.INTERIOR_POINT.on_gpu
-THREADS = 256  # that solve a program together
-BLOCKS = 4  # programs that a multiprocessor has at once
-ALONE = 512  # threads of a program that has a multiprocessor to itself
+THREADS = 256  # per program
+BLOCKS = 4  # programs on a multiprocessor at once
+ALONE = 512  # threads of a program that is alone on its multiprocessor
 WARP = 32
 
 
 class Sizes(NamedTuple):
-    """Those of a program, in the order of ``layout.h``."""
+    """Sizes of a program, in the order of ``layout.h``."""
 
     nodes: int
     variables: int
@@ -30,7 +31,7 @@ class Sizes(NamedTuple):
     rows: int
     has_norm: bool
     cones: tuple[tuple[int, int], ...]
-    """(number, dimension) of each group at a node."""
+    """(count, dimension) of each group of cones at a node."""
 
     def __str__(self) -> str:
         groups = ",".join(f"{{{count},{dimension}}}" for count, dimension in self.cones)
@@ -39,7 +40,7 @@ class Sizes(NamedTuple):
 
     @property
     def fit(self) -> bool:
-        """Whether a warp can eliminate the nodes and links: a lane for each row that is eliminated."""
+        """Whether a warp can eliminate nodes and links, with one lane per eliminated row."""
         return max(self.variables, self.link_rows) <= WARP
 
 
@@ -50,13 +51,13 @@ def sizes_of(program: StagedProgram) -> Sizes:
     return Sizes(program.nodes, program.variables, links, rows, program.norm is not None, cones)
 
 
-def serves(program: StagedProgram) -> bool:
-    """Whether there is a kernel for this program, on the GPUs that JAX runs on; made if need be."""
+def supports(program: StagedProgram) -> bool:
+    """Whether there is a kernel for this program on JAX's GPUs; compiles the kernel on first use."""
     return _kernel(program) is not None
 
 
 def available() -> bool:
-    """Whether JAX runs on GPUs for the kernel, and what launches it was compiled; makes that known to XLA."""
+    """Whether JAX's GPUs can run the kernel and its handler was compiled; registers the handler with XLA."""
     return cuda.launches(libraries.INTERIOR_POINT)
 
 
@@ -67,7 +68,7 @@ def _kernel(program: StagedProgram) -> bytes | None:
 
 @functools.cache
 def kernel(sizes: Sizes, capability: str) -> bytes | None:
-    """The kernel for programs of these sizes, as machine code of the GPU; None and a warning if it does not compile."""
+    """Machine code (cubin) of the kernel for these sizes; None and a warning if compilation fails."""
     folder = Path(__file__).parent
     return cuda.compile_cubin(
         (folder / "kernel.cu").read_text(),
@@ -82,9 +83,9 @@ def kernel(sizes: Sizes, capability: str) -> bytes | None:
 
 
 def attributes(program: StagedProgram) -> dict:
-    """What a call carries with it for the kernel's sake."""
-    image = _kernel(program)
-    if image is None:
+    """Attributes of a call: the kernel's machine code and its launch sizes."""
+    cubin = _kernel(program)
+    if cubin is None:
         raise RuntimeError("jaxscp: no GPU here that the interior point's kernel runs on")
     launch = {"blocks": BLOCKS, "threads": THREADS, "alone": ALONE}
-    return cuda.attributes(image) | {name: np.int64(value) for name, value in launch.items()}
+    return cuda.attributes(cubin) | {name: np.int64(value) for name, value in launch.items()}

@@ -1,5 +1,5 @@
-// What XLA calls on a CPU: solves a batch of programs, each to its own end. Its threads share the lanes, or the work of
-// a single one.
+// XLA's handler on a CPU: solves a batch of programs, each with its own number of steps. The threads share the batch
+// elements, or the work on a single element.
 
 #include <algorithm>
 #include <chrono>
@@ -12,27 +12,27 @@
 namespace jaxscp {
 namespace {
 
-// Whether others help with a program is for experience to say: their cores may be in use, and a thread that is not on a
-// core holds up all. The answer is the same either way.
-class Experience {
+// Measured times per step with and without helping threads. Helpers can be slower: other processes may use their cores,
+// and a thread that is not running delays all others. The result is the same either way.
+class HelperTimings {
  public:
   bool prefers_help() {
     if (alone_ == 0.0 || helped_ == 0.0) return helped_ == 0.0;
-    return (helped_ < alone_) != (++turn_ % kAnew == 0);
+    return (helped_ < alone_) != (++turn_ % kTrialPeriod == 0);
   }
   void add(bool help, double seconds) {
     double& mean = help ? helped_ : alone_;
-    mean = mean == 0.0 ? seconds : mean + kNew * (std::min(seconds, 2.0 * mean) - mean);
+    mean = mean == 0.0 ? seconds : mean + kWeight * (std::min(seconds, 2.0 * mean) - mean);
   }
 
  private:
-  static constexpr int kAnew = 16;      // the other way is tried once in so many
-  static constexpr double kNew = 0.25;  // weight of the last
-  double alone_ = 0.0, helped_ = 0.0;  // of a step
+  static constexpr int kTrialPeriod = 16;      // the slower choice is tried once in so many programs
+  static constexpr double kWeight = 0.25;  // weight of the latest time in the mean
+  double alone_ = 0.0, helped_ = 0.0;  // mean seconds per step
   int turn_ = 0;
 };
 
-// A program's room and its solver's. Each thread keeps its last one: to find room anew takes longer than a step.
+// Memory of a program and its solver. Each thread reuses its last worker, since an allocation takes longer than a step.
 struct Worker {
   Sizes sizes;
   Settings settings;
@@ -41,13 +41,13 @@ struct Worker {
   Program program;
   Scales scales;
   InteriorPoint solver;
-  Experience experience;
+  HelperTimings timings;
 
   Worker(const Sizes& sizes, const Settings& settings)
-      : sizes(sizes), settings(settings), memory(room(sizes, settings)), arena(memory.data()),
+      : sizes(sizes), settings(settings), memory(workspace(sizes, settings)), arena(memory.data()),
         program(Layout(sizes), arena), scales(program, arena), solver(program, scales, settings, arena) {}
 
-  static long long room(const Sizes& sizes, const Settings& settings) {
+  static long long workspace(const Sizes& sizes, const Settings& settings) {
     Arena counting;
     Program program(Layout(sizes), counting);
     Scales scales(program, counting);
@@ -56,46 +56,49 @@ struct Worker {
   }
 
   static Worker& of_thread(const Sizes& sizes, const Settings& settings) {
-    thread_local std::unique_ptr<Worker> kept;
-    if (!kept || kept->sizes != sizes || kept->settings != settings) kept = std::make_unique<Worker>(sizes, settings);
-    return *kept;
+    thread_local std::unique_ptr<Worker> worker;
+    if (!worker || worker->sizes != sizes || worker->settings != settings)
+      worker = std::make_unique<Worker>(sizes, settings);
+    return *worker;
   }
 };
 
-// Takes a seat for as long as it does something.
+// Calls act() as a member of a team.
 template <typename Act>
-void seated(Team& team, int me, Act act) {
-  seat = {&team, me};
+void as_member(Team& team, int rank, Act act) {
+  this_thread = {&team, rank};
   act();
-  seat = {};
+  this_thread = {};
 }
 
-// One program by as many threads as have enough of it to do, where that is faster.
+// Solves one program with several threads, if that is faster and each thread has enough packs.
 void solve_together(ffi::ThreadPool& pool, const Batch& batch, Worker& worker) {
   using Clock = std::chrono::steady_clock;
   constexpr int kPacksEach = 2;
   const int packs = worker.program.packs, threads = std::min<int64_t>(packs / kPacksEach, pool.num_threads());
-  const bool help = threads > 1 && worker.experience.prefers_help();
+  const bool help = threads > 1 && worker.timings.prefers_help();
   Team team(help ? threads : 1, packs);
   const auto begin = Clock::now();
   with_helpers(pool, help ? threads - 1 : 0,
-               [&] { seated(team, 0, [&] { solve_lane(batch, 0, worker.program, worker.scales, worker.solver); }); },
-               [&] { seated(team, -1, [&] { worker.solver.work(); }); });
+               [&] {
+                 as_member(team, 0, [&] { solve_element(batch, 0, worker.program, worker.scales, worker.solver); });
+               },
+               [&] { as_member(team, -1, [&] { worker.solver.work(); }); });
   const double seconds = std::chrono::duration<double>(Clock::now() - begin).count();
-  worker.experience.add(help, seconds / (1 + worker.solver.iterations));
+  worker.timings.add(help, seconds / (1 + worker.solver.iterations));
 }
 
 ffi::Error solve(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::RemainingRets rets, ffi::Dictionary attrs) {
-  auto found = shaped(args, rets, attrs);
+  auto found = sized_batch(args, rets, attrs);
   if (!found.has_value()) return found.error();
   const Batch& batch = found->batch;
-  if (batch.lanes == 1) {
+  if (batch.size == 1) {
     solve_together(pool, batch, Worker::of_thread(found->sizes, batch.settings));
   } else {
-    parallel_for(pool, batch.lanes, [&](int64_t lane) {
+    parallel_for(pool, batch.size, [&](int64_t element) {
       Worker& worker = Worker::of_thread(found->sizes, batch.settings);
       Team alone(1, worker.program.packs);
-      seated(alone, 0, [&] { solve_lane(batch, lane, worker.program, worker.scales, worker.solver); });
+      as_member(alone, 0, [&] { solve_element(batch, element, worker.program, worker.scales, worker.solver); });
     });
   }
   return ffi::Error::Success();
@@ -104,5 +107,6 @@ ffi::Error solve(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::RemainingRe
 }  // namespace
 }  // namespace jaxscp
 
-XLA_FFI_DEFINE_HANDLER_SYMBOL(jaxscp_interior_point, jaxscp::solve,
-                              xla::ffi::Ffi::Bind().Ctx<xla::ffi::ThreadPool>().RemainingArgs().RemainingRets().Attrs());
+XLA_FFI_DEFINE_HANDLER_SYMBOL(
+    jaxscp_interior_point, jaxscp::solve,
+    xla::ffi::Ffi::Bind().Ctx<xla::ffi::ThreadPool>().RemainingArgs().RemainingRets().Attrs());

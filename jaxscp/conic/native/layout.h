@@ -1,19 +1,21 @@
-// Sizes of a program, and what follows from them: where everything lies in its vectors.
+// Sizes of a program, and the positions in its vectors that follow from them.
+//
+// A stage is a node with the link before it: link l belongs to node l, and the last stage is a link alone.
 #pragma once
 
 #include "pack.h"
 
 namespace jaxscp {
 
-// Places of a program come in so many: on a GPU, lanes of a warp.
+// The number of stages is padded to a multiple of this: on a GPU, to whole warps.
 #if defined(__CUDACC__)
-constexpr int kTogether = 32;
+constexpr int kStageMultiple = 32;
 #else
-constexpr int kTogether = kWidth;
+constexpr int kStageMultiple = kWidth;
 #endif
 
-constexpr int kMaxGroups = 32;  // of cones
-constexpr int kMaxCones = 256;  // of a node
+constexpr int kMaxGroups = 32;  // groups of cones
+constexpr int kMaxCones = 256;  // cones of a node
 constexpr int kMaxLines = 1 << 15;  // rows or columns of a matrix
 
 struct ConeShape {
@@ -21,7 +23,7 @@ struct ConeShape {
   bool operator==(const ConeShape&) const = default;
 };
 
-// All that the sizes of arrays follow from.
+// Sizes of a program: they determine the sizes of all arrays.
 struct Sizes {
   int nodes, variables, link_rows, rows;
   bool has_norm;
@@ -30,34 +32,34 @@ struct Sizes {
   bool operator==(const Sizes&) const = default;
 };
 
-// A second-order cone's place in a ConeVector.
+// A second-order cone's position in a ConeVector, and whether the cone belongs to the link.
 struct Cone {
   int offset, dimension;
   bool of_link;
 };
 
-// How many packs a vector has at each: those of a node first, then those of its link.
+// Packs of a vector at each stage: the node's come first, then the link's.
 struct Shape {
   int size, of_node;
 };
 
-// Of (z, xi, zeta), and of a ConeVector: (rows, the user's cones, trust region, zero cone, virtual control).
+// Layout of a Primal (z, xi, zeta), and of a ConeVector (rows, user's cones, trust region, zero cone, virtual control).
 struct Layout {
   Sizes sizes;
   int nodes, n, m, r, u;  // variables, link rows, half-spaces, rows of the user's cones
   bool has_norm;
   int packs;
   Shape primal, cone;
-  int xi, zeta, trust, zero, virtual_;  // offsets; those of z and rows are zero, the user's cones follow the rows
-  // of a node: the user's come first, then the trust region's, if any, and the virtual control's
+  int xi, zeta, trust, zero, virtual_;  // offsets; z and rows begin at zero, the user's cones follow the rows
+  // of a stage: first the user's cones, then the trust region's, if any, and virtual control's
   int cone_count, user_cones, trust_cone, virtual_cone;
   Cone cones[kMaxCones];
-  double degree;  // number of complementarity pairs, that of tau and kappa too
+  double degree;  // number of complementarity pairs, with the pair (tau, kappa)
 
   constexpr explicit Layout(const Sizes& s)
       : sizes(s), nodes(s.nodes), n(s.variables), m(s.link_rows), r(s.rows), u(0), has_norm(s.has_norm),
-        packs(packs_for(s.nodes + 1, kTogether)), primal{n + 2, n + 1}, cone{}, xi(n), zeta(n + 1), trust(0), zero(0),
-        virtual_(0), cone_count(0), user_cones(0), trust_cone(0), virtual_cone(0), cones{}, degree(0.0) {
+        packs(packs_for(s.nodes + 1, kStageMultiple)), primal{n + 2, n + 1}, cone{}, xi(n), zeta(n + 1), trust(0),
+        zero(0), virtual_(0), cone_count(0), user_cones(0), trust_cone(0), virtual_cone(0), cones{}, degree(0.0) {
     int at = r;
     for (int g = 0; g < s.groups; ++g)
       for (int i = 0; i < s.cones[g].count; ++i, at += s.cones[g].dimension)
@@ -74,7 +76,7 @@ struct Layout {
   Cone cone_at(int c) const { return cones[c]; }
 };
 
-// On a GPU a kernel is compiled for the sizes: all that follows from them is then a constant.
+// On a GPU the kernel is compiled for the sizes, so that the layout is constant.
 #if defined(__CUDACC__)
 constexpr Layout kLayout(Sizes{JAXSCP_SIZES});
 
@@ -91,7 +93,7 @@ struct ProgramLayout {
 
   explicit ProgramLayout(const Layout&) {}
   static Cone cone_at(int c) {
-    constexpr int kFew = 8;  // of so many one is chosen sooner than read
+    constexpr int kFew = 8;  // up to here, selecting a cone is faster than reading it from memory
     if constexpr (cone_count > kFew) {
       return kLayout.cones[c];
     } else {

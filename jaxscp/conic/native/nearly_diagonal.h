@@ -1,14 +1,14 @@
-// The inverse of a node's Hessian where little but its trust region ties its variables to each other, on a GPU.
+// Inverse of a node's nearly diagonal Hessian on a GPU: hardly any term but the trust region couples the variables.
 //
 //     H = Q + by S^2 - c v v',    v = S w,   c = 2 by / (1 + 2 |w|^2)
 //
-// S has the scales of the trust region, w is the tail of its cone's point and by = 1 / eta^2. Q, of cost, half-spaces
-// and the user's cones, is diagonal but for a few variables that these tie. So is A = Q + by S^2, and by Sherman and
-// Morrison
+// S holds the trust region's scales, w is the tail of the scaling point of its cone, and by = 1 / eta^2. Q collects
+// cost, half-spaces and user's cones; it is diagonal except for a few coupled variables. So is A = Q + by S^2, and by
+// the Sherman-Morrison formula
 //
 //     H^-1 = A^-1 + u u',   u = A^-1 v (by / k)^1/2,   k = 1/2 + w'(w - by S A^-1 v).
 //
-// A row of w'(w - by S A^-1 v) that nothing is tied to is w_i^2 q_i / a_i: nothing cancels.
+// For an uncoupled variable, term i of w'(w - by S A^-1 v) is w_i^2 q_i / a_i, without cancellation.
 #pragma once
 
 #include "elimination_by_warp.h"
@@ -19,82 +19,84 @@ namespace jaxscp {
 class NearlyDiagonal {
  public:
   NearlyDiagonal(const Program& program, Arena& arena)
-      : program_(program), inverse_(arena.take(program.packs * kOfNode)) {}
+      : program_(program), inverse_(arena.take(program.packs * kPerNode)) {}
 
-  // Begins with another program: finds which of its variables are tied to others at any node.
+  // Prepares for the program that was read: finds the variables that are coupled to others at any node.
   JAXSCP_CALLED void read() {
     const Program& g = program_;
-    share(n, [&](int j) {
-      bool is_tied = false;
-      g.hessian.each_of_row(j, [&](int, int i) { is_tied |= i != j; });
+    parallel_for(n, [&](int j) {
+      bool is_coupled = false;
+      g.hessian.each_of_row(j, [&](int, int i) { is_coupled |= i != j; });
       g.rows.each_of_column(j, [&](int, int i) {
-        g.rows.each_of_row(i, [&](int, int other) { is_tied |= other != j; });
+        g.rows.each_of_row(i, [&](int, int other) { is_coupled |= other != j; });
       });
-      g.user.each_of_column(j, [&](int, int) { is_tied = true; });
-      tied()[j] = is_tied ? 1 : 0;
+      g.user.each_of_column(j, [&](int, int) { is_coupled = true; });
+      coupled()[j] = is_coupled ? 1 : 0;
     });
     once([&] {
       int found = 0;
       for (int j = 0; j < n; ++j)
-        if (tied()[j]) tied()[j] = ++found;
-      many_ = found;
+        if (coupled()[j]) coupled()[j] = ++found;
+      count_ = found;
       for (int j = 0; j < n; ++j)
-        if (tied()[j] && tied()[j] <= kTied) variable_[tied()[j] - 1] = j;
+        if (coupled()[j] && coupled()[j] <= kMaxCoupled) variable_[coupled()[j] - 1] = j;
     });
   }
 
-  // Whether so few are tied that this serves, and what lanes hold of a cone has room for a node's variables: as it has
-  // where there is a trust region.
-  bool serves() const { return many_ <= kTied && n <= soc::Held::kSlots * kLanesOfCone; }
+  // Whether few enough variables are coupled, and a cone's registers can hold a node's variables. With a trust region
+  // they can.
+  bool supports() const { return count_ <= kMaxCoupled && n <= soc::ConeRegisters::kSlots * kLanesOfCone; }
 
-  // Finds the inverses at all nodes.
+  // Computes the inverses at all nodes.
   JAXSCP_CALLED void find(const Scaling& scaling, double regularisation) {
-    share(program_.packs, Parts{0, 1}, [&](int p, int) {
+    parallel_for(program_.packs, Parts{0, 1}, [&](int p, int) {
       const Program& g = program_;
       const Entries w = g.of_cones(scaling.w, p);
-      Pack by = 0.0, of_tied[kTied][kTied];
-      soc::Held tail{n}, scale{n}, a{n}, kept{n}, u{n}, first{n};  // all zero; kept: q / a
+      Pack by = 0.0, of_coupled[kMaxCoupled][kMaxCoupled];
+      soc::ConeRegisters tail{n}, scale{n}, a{n}, ratio{n}, u{n}, first{n};  // all zero; ratio: q / a
       if (g.has_norm) {
         const Pack eta = scaling.eta_of(p, g.trust_cone);
-        by = inverse(eta * eta), tail = soc::hold(w + (g.trust + 1), n), scale = soc::hold(g.scale.of(p, n), n);
+        by = inverse(eta * eta), tail = soc::load(w + (g.trust + 1), n), scale = soc::load(g.scale.of(p, n), n);
       }
       soc::each_entry(a, [&](int k, int j) {
         if (number(k)) return all(1.0);
         const Pack q = of_cost(scaling, regularisation, p, j, j), whole = q + by * scale[k] * scale[k];
-        kept[k] = q * inverse(whole);
+        ratio[k] = q * inverse(whole);
         return whole;
       });
-      // of the lower triangle of Q among the tied variables a lane has an entry
+      // Each lane computes one entry of Q's lower triangle among the coupled variables.
       const int lane = lane_of_cone(), row = lane < 1 ? 0 : lane < 3 ? 1 : 2, column = lane - row * (row + 1) / 2;
-      const bool has_entry = row < many_ && column <= row;
+      const bool has_entry = row < count_ && column <= row;
       const Pack mine = has_entry ? of_cost(scaling, regularisation, p, variable_[row], variable_[column]) : 0.0;
 #pragma unroll
-      for (int i = 0; i < kTied; ++i)
+      for (int i = 0; i < kMaxCoupled; ++i)
 #pragma unroll
-        for (int j = 0; j < kTied; ++j)
-          of_tied[i][j] = __shfl_sync(kEvery, mine, lane_of_warp() - lane + (j <= i ? i * (i + 1) / 2 + j : 0));
-      // M' = L^-1 of those that are tied
-      Pack s[kTied], t[kTied], v[kTied], solved[kTied], m[kTied][kTied], whole[kTied][kTied], lacks = 0.0;
+        for (int j = 0; j < kMaxCoupled; ++j)
+          of_coupled[i][j] = __shfl_sync(kAllLanes, mine, lane_of_warp() - lane + (j <= i ? i * (i + 1) / 2 + j : 0));
+      // M' = L^-1 of the coupled block
+      Pack s[kMaxCoupled], t[kMaxCoupled], v[kMaxCoupled], solved[kMaxCoupled], denominator = 0.0;
+      Pack m[kMaxCoupled][kMaxCoupled], whole[kMaxCoupled][kMaxCoupled];
 #pragma unroll
-      for (int i = 0; i < kTied; ++i) {
-        s[i] = entry(scale, i), t[i] = entry(tail, i), v[i] = i < many_ ? s[i] * t[i] : 0.0;
+      for (int i = 0; i < kMaxCoupled; ++i) {
+        s[i] = entry(scale, i), t[i] = entry(tail, i), v[i] = i < count_ ? s[i] * t[i] : 0.0;
 #pragma unroll
-        for (int j = 0; j <= i; ++j) whole[i][j] = of_tied[i][j] + (i == j ? i < many_ ? by * s[i] * s[i] : 1.0 : 0.0);
+        for (int j = 0; j <= i; ++j)
+          whole[i][j] = of_coupled[i][j] + (i == j ? i < count_ ? by * s[i] * s[i] : 1.0 : 0.0);
       }
       invert(whole, m);
       times(m, v, solved);
       // (w - by S A^-1 v)_i is (Q A^-1 v)_i / s_i
 #pragma unroll
-      for (int i = 0; i < kTied; ++i) {
-        if (i >= many_) break;
+      for (int i = 0; i < kMaxCoupled; ++i) {
+        if (i >= count_) break;
         Pack product = 0.0;
 #pragma unroll
-        for (int j = 0; j < kTied; ++j) product += (j < i ? of_tied[i][j] : of_tied[j][i]) * solved[j];
-        lacks += s[i] != 0.0 ? t[i] * product * inverse(s[i]) : t[i] * t[i];
+        for (int j = 0; j < kMaxCoupled; ++j) product += (j < i ? of_coupled[i][j] : of_coupled[j][i]) * solved[j];
+        denominator += s[i] != 0.0 ? t[i] * product * inverse(s[i]) : t[i] * t[i];
       }
-      lacks = larger(lacks, 0.0) + 0.5;
-      lacks += soc::total(n, [&](int k) { return number(k) ? 0.0 : tail[k] * tail[k] * kept[k]; });
-      const Pack size = root(by * inverse(lacks));
+      denominator = larger(denominator, 0.0) + 0.5;
+      denominator += soc::total(n, [&](int k) { return number(k) ? 0.0 : tail[k] * tail[k] * ratio[k]; });
+      const Pack size = root(by * inverse(denominator));
       soc::each_entry(first, [&](int k, int) { return number(k) ? 0.0 : inverse_root(a[k]); });
       soc::each_entry(u, [&](int k, int) {
         const int i = number(k);
@@ -102,29 +104,29 @@ class NearlyDiagonal {
       });
       double* to = at(p);
 #pragma unroll
-      for (int k = 0; k < soc::Held::kSlots; ++k)
+      for (int k = 0; k < soc::ConeRegisters::kSlots; ++k)
         if (const int j = soc::entry_of(k); j < n) to[j] = first[k], to[n + j] = u[k];
 #pragma unroll
-      for (int i = 0; i < kTied; ++i)
-        for (int j = 0; j < kTied; ++j)
-          if (lane_of_cone() == i) to[2 * n + i * kTied + j] = m[i][j];
+      for (int i = 0; i < kMaxCoupled; ++i)
+        for (int j = 0; j < kMaxCoupled; ++j)
+          if (lane_of_cone() == i) to[2 * n + i * kMaxCoupled + j] = m[i][j];
     });
   }
 
-  // H^-1 v, by the lanes that have it.
-  soc::Held times(int p, const soc::Held& v) const {
+  // H^-1 v, by the lanes that hold v.
+  soc::ConeRegisters times(int p, const soc::ConeRegisters& v) const {
     const double* of = at(p);
-    soc::Held out{n}, first{n}, u{n};
-    Pack of_tied[kTied], solved[kTied], m[kTied][kTied];
+    soc::ConeRegisters out{n}, first{n}, u{n};
+    Pack of_coupled[kMaxCoupled], solved[kMaxCoupled], m[kMaxCoupled][kMaxCoupled];
     soc::each_entry(first, [&](int, int j) { return of[j]; });
     soc::each_entry(u, [&](int, int j) { return of[n + j]; });
 #pragma unroll
-    for (int i = 0; i < kTied; ++i)
+    for (int i = 0; i < kMaxCoupled; ++i)
 #pragma unroll
-      for (int j = 0; j <= i; ++j) m[i][j] = of[2 * n + i * kTied + j];
+      for (int j = 0; j <= i; ++j) m[i][j] = of[2 * n + i * kMaxCoupled + j];
 #pragma unroll
-    for (int i = 0; i < kTied; ++i) of_tied[i] = i < many_ ? entry(v, i) : 0.0;
-    times(m, of_tied, solved);
+    for (int i = 0; i < kMaxCoupled; ++i) of_coupled[i] = i < count_ ? entry(v, i) : 0.0;
+    times(m, of_coupled, solved);
     const Pack part = soc::dot(u, v);
     soc::each(out, [&](int k) {
       const int i = number(k);
@@ -133,8 +135,8 @@ class NearlyDiagonal {
     return out;
   }
 
-  // Products with the inverse H^-1 = R R', R = [1 / sqrt(a) M u]: rows of K = B R, of which eight are a ``Row`` of
-  // factors for tensor cores, four columns at a time. M and u have the last four.
+  // Products with H^-1 = R R', R = [1 / sqrt(a) M u]: rows of K = B R. A ``Row`` is eight rows as a factor for the
+  // tensor cores, four columns at a time; the last four columns belong to M and u.
   class Products {
    public:
     static constexpr int kSteps = (ProgramLayout::n + 3) / 4;
@@ -146,20 +148,20 @@ class NearlyDiagonal {
 
     Products(const NearlyDiagonal& inverse, int p) : of_(inverse.at(p)) {}
 
-    // Of K the rows whose b(i, j), i < 8, are given.
+    // Eight rows of K, from the entries b(i, j), i < 8, of B.
     template <typename Below>
     Row find(Below below) const {
       Row found;
       const int row = lane_of_warp() / 4, column = lane_of_warp() % 4;
       double last[2] = {}, x[kSteps];
-      // The sums' columns are 0 .. 7, of which a lane has two neighbours: the first is one of the four.
+      // The sums have columns 0 .. 7. A lane holds two neighbouring columns, of which the first is one of the four.
       const int c = row % 2 == 0 ? row / 2 : -1;
 #pragma unroll
       for (int k = 0; k < kSteps; ++k) {
-        const int j = 4 * k + column, i = j < n ? tied()[j] : 0;
+        const int j = 4 * k + column, i = j < n ? coupled()[j] : 0;
         found.steps[k] = j < n ? below(row, j) : 0.0;
-        // of M the entry (i - 1, c), or of u
-        const int from = c == kTied ? n + j : i > 0 && i - 1 <= c ? 2 * n + c * kTied + i - 1 : -1;
+        // entry (i - 1, c) of M, or an entry of u
+        const int from = c == kMaxCoupled ? n + j : i > 0 && i - 1 <= c ? 2 * n + c * kMaxCoupled + i - 1 : -1;
         x[k] = j < n && from >= 0 ? of_[from] : 0.0;
       }
       __syncwarp();
@@ -178,40 +180,40 @@ class NearlyDiagonal {
 
  private:
   static constexpr int n = ProgramLayout::n;
-  static constexpr int kTied = 3;  // variables: with u they are four columns
-  static constexpr int kOfNode = even(2 * n + kTied * kTied);
+  static constexpr int kMaxCoupled = 3;  // coupled variables; with u they are four columns
+  static constexpr int kPerNode = even(2 * n + kMaxCoupled * kMaxCoupled);
 
-  // Of each variable its number among those that are tied, from one on, or zero.
-  static int* tied() {
+  // Number of each variable among the coupled ones, from one on; zero for an uncoupled variable.
+  static int* coupled() {
     __shared__ int of_variable[n];
     return of_variable;
   }
-  static int number(int k) { return soc::entry_of(k) < n ? tied()[soc::entry_of(k)] : 0; }
-  static Pack chosen(const Pack (&v)[kTied], int number) {
+  static int number(int k) { return soc::entry_of(k) < n ? coupled()[soc::entry_of(k)] : 0; }
+  static Pack chosen(const Pack (&v)[kMaxCoupled], int number) {
     Pack found = v[0];
 #pragma unroll
-    for (int i = 1; i < kTied; ++i)
+    for (int i = 1; i < kMaxCoupled; ++i)
       if (number == i + 1) found = v[i];
     return found;
   }
-  double* at(int p) const { return &inverse_[p * kOfNode]; }
+  double* at(int p) const { return &inverse_[p * kPerNode]; }
 
-  // Of a vector that lanes have the entry of the tied variable i, for all of them.
-  Pack entry(const soc::Held& v, int i) const {
-    const int j = i < many_ ? variable_[i] : 0;
+  // Entry of coupled variable i of a vector in registers, on all lanes.
+  Pack entry(const soc::ConeRegisters& v, int i) const {
+    const int j = i < count_ ? variable_[i] : 0;
     Pack found = v[0];
 #pragma unroll
-    for (int k = 1; k < soc::Held::kSlots; ++k)
+    for (int k = 1; k < soc::ConeRegisters::kSlots; ++k)
       if (j / kLanesOfCone == k) found = v[k];
-    return __shfl_sync(kEvery, found, lane_of_warp() - lane_of_cone() + j % kLanesOfCone);
+    return __shfl_sync(kAllLanes, found, lane_of_warp() - lane_of_cone() + j % kLanesOfCone);
   }
 
-  // The entry of Q for two variables.
+  // Entry of Q for two variables.
   JAXSCP_CALLED Pack of_cost(const Scaling& scaling, double regularisation, int p, int one, int other) const {
     const Program& g = program_;
     const Entries w = g.of_cones(scaling.w, p), of_rows = g.rows.at(p), of_user = g.user.at(p);
-    const int place = g.hessian.number(one, other);
-    Pack total = (one == other ? regularisation : 0.0) + (place >= 0 ? g.hessian.at(p)[place] : 0.0);
+    const int entry_number = g.hessian.number(one, other);
+    Pack total = (one == other ? regularisation : 0.0) + (entry_number >= 0 ? g.hessian.at(p)[entry_number] : 0.0);
     g.rows.each_of_column(one, [&](int e, int row) {
       const int f = one == other ? e : g.rows.number(row, other);
       if (f >= 0) total += of_rows[e] * of_rows[f] * inverse(w[row] * w[row]);
@@ -232,13 +234,13 @@ class NearlyDiagonal {
     return total;
   }
 
-  // L^-1, a = L L' being given by its lower triangle.
-  static void invert(const Pack (&a)[kTied][kTied], Pack (&m)[kTied][kTied]) {
-    Pack l[kTied][kTied] = {};
+  // m = L^-1, for a = L L' given by its lower triangle.
+  static void invert(const Pack (&a)[kMaxCoupled][kMaxCoupled], Pack (&m)[kMaxCoupled][kMaxCoupled]) {
+    Pack l[kMaxCoupled][kMaxCoupled] = {};
 #pragma unroll
-    for (int j = 0; j < kTied; ++j) {
+    for (int j = 0; j < kMaxCoupled; ++j) {
 #pragma unroll
-      for (int i = j; i < kTied; ++i) {
+      for (int i = j; i < kMaxCoupled; ++i) {
         Pack left = a[i][j];
 #pragma unroll
         for (int k = 0; k < j; ++k) left -= l[i][k] * l[j][k];
@@ -246,9 +248,9 @@ class NearlyDiagonal {
       }
     }
 #pragma unroll
-    for (int i = 0; i < kTied; ++i)
+    for (int i = 0; i < kMaxCoupled; ++i)
 #pragma unroll
-      for (int j = 0; j < kTied; ++j) {
+      for (int j = 0; j < kMaxCoupled; ++j) {
         Pack sum = 0.0;
 #pragma unroll
         for (int k = j; k < i; ++k) sum += l[i][k] * m[k][j];
@@ -256,26 +258,26 @@ class NearlyDiagonal {
       }
   }
 
-  // m'm v
-  static void times(const Pack (&m)[kTied][kTied], const Pack (&v)[kTied], Pack (&out)[kTied]) {
-    Pack half[kTied];
+  // out = m'm v
+  static void times(const Pack (&m)[kMaxCoupled][kMaxCoupled], const Pack (&v)[kMaxCoupled], Pack (&out)[kMaxCoupled]) {
+    Pack half[kMaxCoupled];
 #pragma unroll
-    for (int i = 0; i < kTied; ++i) {
+    for (int i = 0; i < kMaxCoupled; ++i) {
       half[i] = 0.0;
 #pragma unroll
       for (int j = 0; j <= i; ++j) half[i] += m[i][j] * v[j];
     }
 #pragma unroll
-    for (int j = 0; j < kTied; ++j) {
+    for (int j = 0; j < kMaxCoupled; ++j) {
       out[j] = 0.0;
 #pragma unroll
-      for (int i = j; i < kTied; ++i) out[j] += m[i][j] * half[i];
+      for (int i = j; i < kMaxCoupled; ++i) out[j] += m[i][j] * half[i];
     }
   }
 
   const Program& program_;
-  int many_ = 0, variable_[kTied] = {};  // that are tied
-  Packs inverse_;  // of each node 1 / sqrt(a), u and M' by rows
+  int count_ = 0, variable_[kMaxCoupled] = {};  // coupled variables
+  Packs inverse_;  // 1 / sqrt(a), u and M' by rows, of each node
 };
 
 }  // namespace jaxscp

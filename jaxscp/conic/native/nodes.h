@@ -1,4 +1,4 @@
-// Nodes and the chain of their links, eliminated as it is done on this machine.
+// Elimination of the nodes and links, for a GPU or a CPU.
 #pragma once
 
 #if defined(__CUDACC__)

@@ -1,214 +1,21 @@
-// The program in packs (``program.py`` and the head of ``kkt.py`` have the mathematics):
+// Program in conic form, in packs (``conic_form.py`` has the mathematics):
 //
 //     min 1/2 x'Px + q'x,   A x + s = b,   s in K,      x = (z, xi, zeta)
 //
-// A node's pack owns what the node itself adds to a vector, and what the link before it adds: link l is node l's.
+// A stage holds the entries of its node and of the link before the node.
 #pragma once
 
-#include "arena.h"
-#include "threads.h"
+#include "matrix.h"
 
 namespace jaxscp {
-
-// What the program is made of, row-major, the chain first.
-struct Given {
-  const double *hessian, *gradient, *before, *after, *link_offset, *soft, *link_weight, *row_matrix, *row_offset;
-  struct ConeGroup {
-    const double *matrix, *offset, *near;
-    int rows;  // at a node
-  } cones[kMaxGroups];
-  const double *norm_weight, *norm_scale, *norm_centre;
-  const double *near_z, *near_links, *near_rows;  // where the solution is thought to be, if anywhere
-};
-
-// Takes entries of ``size`` numbers at each of the first ``count`` places into packs, ``stride`` packs an entry apart.
-// Who needs them is to wait for it, here and where they are put back.
-JAXSCP_CALLED inline void gather(const double* from, int count, int size, Packs to, int offset, int stride,
-                                 double beyond = 0.0) {
-  visit(to.size / stride, Parts{size}, [&](int p, int i) {
-    for (int lane = 0; lane < kWidth; ++lane) {
-      int k = p * kWidth + lane;
-      set(to.of(p, stride)[offset + i], lane, k < count ? from[static_cast<long long>(k) * size + i] : beyond);
-    }
-  });
-}
-
-JAXSCP_CALLED inline void scatter(Packs from, int offset, int stride, int count, int size, double* to) {
-  visit(count, Parts{size}, [&](int k, int i) {
-    to[k * size + i] = get(from.of(k / kWidth, stride)[offset + i], k % kWidth);
-  });
-}
-
-// Where a matrix is read from: in one array, or in those of groups of cones.
-struct From {
-  const double* array;
-  const Given::ConeGroup* cones;
-  int rows, columns;
-
-  // Of an entry the number at each node.
-  struct Entry {
-    const double* first;
-    long long stride;
-    double operator()(int k) const { return first[k * stride]; }
-  };
-  Entry entry(int i, int j) const {
-    if (!cones) return {array + i * columns + j, static_cast<long long>(rows) * columns};
-    const Given::ConeGroup* group = cones;
-    for (; i >= group->rows; ++group) i -= group->rows;
-    return {group->matrix + i * columns + j, static_cast<long long>(group->rows) * columns};
-  }
-};
-
-// A matrix at every node, without the entries that are zero at all of them.
-class Matrix {
- public:
-  Matrix(int rows, int columns, int packs, Arena& arena)
-      : rows(rows), columns(columns), far_{arena.take_integers(rows + 1), arena.take_integers(rows * columns),
-                                           arena.take_integers(columns + 1), arena.take_integers(rows * columns)},
-        near_(far_), place_(arena.take_integers(rows * columns)), value_(arena.take(packs * rows * columns)) {}
-
-  int size() const { return rows * columns; }
-
-  // Takes an entry's numbers at all nodes. False where it is filled and was not in the last program, or the other way
-  // round: entries are then to be numbered anew, and taken again.
-  bool read(int nodes, int packs, From from, int at) {
-    const From::Entry entry = from.entry(at / columns, at % columns);
-    const bool known = entries >= 0, was_filled = known && place_[at] != kNone;
-    const int e = was_filled ? place_[at] : 0;
-    bool filled = false;
-    for (int first = 0; first < packs; first += kAtOnce) {
-      Pack v[kAtOnce];
-#pragma unroll
-      for (int k = 0; k < kAtOnce; ++k)  // none of which waits for the one before
-        for (int lane = 0; lane < kWidth; ++lane) {
-          const int node = (first + k) * kWidth + lane;
-          set(v[k], lane, node < nodes ? entry(node) : 0.0);
-          filled |= get(v[k], lane) != 0.0;
-        }
-#pragma unroll
-      for (int k = 0; k < kAtOnce; ++k)
-        if (was_filled && first + k < packs) this->at(first + k)[e] = v[k];
-    }
-    if (known && filled == was_filled) return true;
-    place_[at] = filled ? 0 : kNone;
-    return false;
-  }
-
-  // Numbers the filled entries.
-  JAXSCP_CALLED void enumerate(Near& near) {
-    list(far_.row_start, rows, columns, [&](int i, int j) { return i * columns + j; },
-         [&](int e, int i, int j, int at) { far_.of_row[e] = pair(i, j), place_[at] = e; });
-    list(far_.column_start, columns, rows, [&](int j, int i) { return i * columns + j; },
-         [&](int f, int, int i, int at) { far_.of_column[f] = pair(i, place_[at] - far_.row_start[i]); });
-    once([&] {
-      entries = far_.row_start[rows];
-      near_.row_start = near.take(far_.row_start, rows + 1), near_.of_row = near.take(far_.of_row, entries);
-      near_.column_start = near.take(far_.column_start, columns + 1);
-      near_.of_column = near.take(far_.of_column, entries);
-    });
-    near.copy(far_.row_start, near_.row_start, rows + 1), near.copy(far_.of_row, near_.of_row, entries);
-    near.copy(far_.column_start, near_.column_start, columns + 1);
-    near.copy(far_.of_column, near_.of_column, entries);
-  }
-
-  Entries at(int pack) const { return value_.of(pack, entries); }
-  // Which entry of all (i, j) is; negative where it is zero at all nodes.
-  int number(int i, int j) const { return place_[i * columns + j]; }
-
-  // act(e, j) for every filled entry of row i: the e-th of all, in column j. On a GPU two at a time: with more, the code
-  // of all that goes through rows and columns outgrows the instruction cache.
-  template <typename Act>
-  void each_of_row(int i, Act act) const {
-    const int end = near_.row_start[i + 1];
-#pragma unroll 2
-    for (int e = near_.row_start[i]; e < end; ++e) act(e, second(near_.of_row[e]));
-  }
-  // act(e, i) for every filled entry of column j: the e-th of all, in row i.
-  template <typename Act>
-  void each_of_column(int j, Act act) const {
-    const int end = near_.column_start[j + 1];
-#pragma unroll 2
-    for (int f = near_.column_start[j]; f < end; ++f) {
-      const int i = first(near_.of_column[f]);
-      act(near_.row_start[i] + second(near_.of_column[f]), i);
-    }
-  }
-  // By a team, act(i, j, value) for every filled entry.
-  template <typename Act>
-  void each(int pack, Act act) const {
-    Entries a = at(pack);
-    in_team(entries, [&](int e) { act(first(near_.of_row[e]), second(near_.of_row[e]), a[e]); });
-  }
-
-  // Every entry is multiplied by row(p, i) and column(p, j).
-  template <typename Row, typename Column>
-  void scale(int packs, Row row, Column column) {
-    share(packs, Parts{entries}, [&](int p, int e) {
-      Pack& v = at(p)[e];
-      v = row(p, first(near_.of_row[e])) * v * column(p, second(near_.of_row[e]));
-    });
-  }
-
-  // Row i times v.
-  Pack times(int pack, int i, Entries v) const {
-    Entries a = at(pack);
-    Pack total = all(0.0);
-    each_of_row(i, [&](int e, int j) { total += a[e] * v[j]; });
-    return total;
-  }
-  // ``total`` and column j times v, whose entries v(i) give.
-  template <typename Vector>
-  Pack add_transposed(int pack, int j, Pack total, Vector v) const {
-    Entries a = at(pack);
-    each_of_column(j, [&](int e, int i) { total += a[e] * v(i); });
-    return total;
-  }
-
-  int rows, columns;
-  int entries = -1;  // that are filled; before any are known, negative
-
- private:
-  static constexpr int kNone = -1;
-  static constexpr int kAtOnce = (7 + kWidth) / kWidth;  // packs that are read together: eight numbers
-
-  // Where the lines' entries begin among all; and of each its row, with its column or its number in the row: in one
-  // integer, so that there is room for them near by.
-  struct Index {
-    int *row_start, *of_row, *column_start, *of_column;
-  };
-  static_assert(kMaxLines <= 1 << 15);
-  static int pair(int first, int second) { return first << 16 | second; }
-  static int first(int pair) { return pair >> 16; }
-  static int second(int pair) { return pair & 0xffff; }
-
-  // Number the filled places by lines (rows or columns): line i's begin with begin[i].
-  template <typename Place, typename Put>
-  void list(int* begin, int lines, int length, Place place, Put put) {
-    share(lines, [&](int i) {
-      int count = 0;
-      for (int j = 0; j < length; ++j) count += place_[place(i, j)] != kNone;
-      begin[i + 1] = count;
-    });
-    add_up(begin, lines);
-    share(lines, [&](int i) {
-      int number = begin[i];
-      for (int j = 0; j < length; ++j)
-        if (int at = place(i, j); place_[at] != kNone) put(number++, i, j, at);
-    });
-  }
-
-  Index far_, near_;
-  int* place_;  // of an entry among them all
-  Packs value_;
-};
 
 class Program : public ProgramLayout {
  public:
   Matrix hessian, after, before, rows, user;  // ``before``: E of the link after the node
   Packs soft, scale;
   Packs q, b;
-  Given given;  // where it is to be read from
-  bool changed = false;  // whether other entries of its matrices are filled than of the last program's
+  ProgramData data;  // arrays that the program is read from
+  bool changed = false;  // whether the sparsity differs from the last program's
 
   Program(const Layout& layout, Arena& arena)
       : ProgramLayout(layout), hessian(n, n, packs, arena), after(m, n, packs, arena), before(m, n, packs, arena),
@@ -216,51 +23,52 @@ class Program : public ProgramLayout {
         q(arena.take(packs * primal.size)), b(arena.take(packs * cone.size)), carry_(arena.take(packs * m)),
         multiplier_(arena.take(packs * m)) {}
 
+  // Reads the program from ``data``.
   JAXSCP_CALLED void read() {
-    const Given& g = given;
+    const ProgramData& g = data;
     once([&] { changed = false; });
     read_matrices();
     if (changed) {
-      Near near;
-      each_matrix([&](Matrix& matrix, From) { matrix.enumerate(near); });
+      FastIndices fast;
+      each_matrix([&](Matrix& matrix, MatrixSource) { matrix.enumerate(fast); });
       read_matrices();
     }
     gather(g.soft, nodes + 1, m, soft, 0, m);
 
-    share(q.size, [&](int i) { q[i] = all(0.0); });  // which waits for ``soft`` too
+    parallel_for(q.size, [&](int i) { q[i] = all(0.0); });  // its barrier also waits for ``soft``
     gather(g.gradient, nodes, n, q, 0, primal.size);
-    gather(g.link_weight, nodes + 1, 1, q, zeta, primal.size);
-    gather_cones(g.row_offset, 1.0, &Given::ConeGroup::offset, g.link_offset, b);
+    gather(g.penalty_weight, nodes + 1, 1, q, zeta, primal.size);
+    gather_cones(g.row_offset, 1.0, &ProgramData::ConeGroup::offset, g.link_offset, b);
     if (has_norm) {
       gather(g.norm_weight, nodes, 1, q, xi, primal.size);
       gather(g.norm_scale, nodes, n, scale, 0, n);
       gather(g.norm_centre, nodes, n, b, trust + 1, cone.size);
       wait();
-      share(packs, Parts{n}, [&](int p, int i) { of_cones(b, p)[trust + 1 + i] *= -scale.of(p, n)[i]; });
+      parallel_for(packs, Parts{n}, [&](int p, int i) { of_cones(b, p)[trust + 1 + i] *= -scale.of(p, n)[i]; });
     }
   }
 
-  // The point that is thought to be near: its variables without bounds of norms, and its multipliers with as much at the
-  // heads of cones as the prices of these bounds ask for. The trust region's tail is not known, and taken for zero.
-  JAXSCP_CALLED void read_near(Packs x, Packs y) const {
-    const Given& g = given;
-    share(x.size, [&](int i) { x[i] = all(0.0); });
-    gather(g.near_z, nodes, n, x, 0, primal.size);
-    gather_cones(g.near_rows, 0.0, &Given::ConeGroup::near, g.near_links, y);
-    share(packs, Parts{1}, [&](int p, int) {
+  // Reads the warm start: variables without bounds of norms, and multipliers. The heads of the norms' multipliers equal
+  // the weights of the norms. The trust region's tail is unknown: zero.
+  JAXSCP_CALLED void read_warm_start(Packs x, Packs y) const {
+    const ProgramData& g = data;
+    parallel_for(x.size, [&](int i) { x[i] = all(0.0); });
+    gather(g.warm_z, nodes, n, x, 0, primal.size);
+    gather_cones(g.warm_rows, 0.0, &ProgramData::ConeGroup::warm, g.warm_links, y);
+    parallel_for(packs, Parts{1}, [&](int p, int) {
       of_cones(y, p)[virtual_] = of_primal(q, p)[zeta];
       if (has_norm) of_cones(y, p)[trust] = of_primal(q, p)[xi];
     });
   }
 
-  // The entries at one place of a (z, xi, zeta), and of a ConeVector.
+  // Entries of a Primal (z, xi, zeta) and of a ConeVector at one stage.
   Entries of_primal(Packs v, int p) const { return v.of(p, primal.size); }
   Entries of_cones(Packs v, int p) const { return v.of(p, cone.size); }
 
   // P x, A x and A'y.
   JAXSCP_CALLED void times(Packs x, Packs y, Packs px, Packs ax, Packs aty) const {
     begin_times(x, y);
-    share(packs, products(), [&](int p, int k) {
+    parallel_for(packs, products(), [&](int p, int k) {
       product(p, k, x, y, [&](int i, Pack v) { of_cones(ax, p)[i] = v; },
               [&](int j, Pack curved, Pack dual) { of_primal(px, p)[j] = curved, of_primal(aty, p)[j] = dual; });
     });
@@ -268,20 +76,21 @@ class Program : public ProgramLayout {
 
   // A x alone.
   JAXSCP_CALLED void times_constraints(Packs x, Packs ax) const {
-    share(packs, Parts{m}, [&](int p, int k) { carry_.of(p, m)[k] = carried(p, k, x); });
-    share(packs, Parts{constraints()}, [&](int p, int k) {
+    parallel_for(packs, Parts{m}, [&](int p, int k) { carry_.of(p, m)[k] = carried(p, k, x); });
+    parallel_for(packs, Parts{constraints()}, [&](int p, int k) {
       constraint(p, k, of_primal(x, p), [&](int i, Pack v) { of_cones(ax, p)[i] = v; });
     });
   }
 
-  // The same by parts, for who uses them at once: what neighbours have of each other, and then so many parts of a place.
-  // Part k calls row(i, entry i of A x), for two rows where it is a link's, or variable(j, entry j of P x, and of A'y).
+  // The same products by parts, for callers that use each entry at once. First ``begin_times`` computes contributions
+  // to neighbouring stages. Then part k of a stage calls row(i, entry i of A x), twice for a row of a link, or
+  // variable(j, entry j of P x, entry j of A'y).
   JAXSCP_CALLED void begin_times(Packs x, Packs y) const {
-    visit(packs, Parts{m}, [&](int p, int k) { carry_.of(p, m)[k] = carried(p, k, x); });
+    parallel_for_nowait(packs, Parts{m}, [&](int p, int k) { carry_.of(p, m)[k] = carried(p, k, x); });
     begin_transposed(y);
   }
   JAXSCP_CALLED void begin_transposed(Packs y) const {
-    share(packs, Parts{m}, [&](int p, int k) { multiplier_.of(p, m)[k] = link_multiplier(y, p, k); });
+    parallel_for(packs, Parts{m}, [&](int p, int k) { multiplier_.of(p, m)[k] = link_multiplier(y, p, k); });
   }
   Parts products() const { return {constraints() + primal.size}; }
   template <typename Row, typename Variable>
@@ -289,25 +98,24 @@ class Program : public ProgramLayout {
     if (k < constraints()) constraint(p, k, of_primal(x, p), row);
     else transposed(p, k - constraints(), x, y, variable);
   }
-  // The parts of variables alone.
+  // Parts of the variables only.
   template <typename Variable>
   void transposed(int p, int j, Packs x, Packs y, Variable variable) const {
     variable(j, j < n ? hessian.times(p, j, of_primal(x, p)) : all(0.0), transposed(p, j, of_cones(y, p)));
   }
 
-  // Multipliers of the links: those of hard rows, and the tails of the virtual controls' cones.
+  // Multipliers of the links: zero cone for hard rows, tails of virtual control's cones for soft rows.
   Pack link_multiplier(Packs y, int p, int i) const {
     Entries v = of_cones(y, p);
     Pack s = soft.of(p, m)[i];
     return (1.0 - s) * v[zero + i] + s * v[virtual_ + 1 + i];
   }
 
-  // What a place has to do, whatever that is: one part for each of its half-spaces, second-order cones, rows of the
-  // zero cone and variables.
-  Parts parts(int sides = 1) const { return {r * sides, cone_count * sides, (m + primal.size) * sides}; }
+  // Parts of a stage: half-spaces, second-order cones, rows of the zero cone and variables; ``count`` of each.
+  Parts parts(int count = 1) const { return {r * count, cone_count * count, (m + primal.size) * count}; }
 
-  // Calls, for part k of a place, half_space(at), second_order(at, dimension, cone), zero_row(at) or variable(at):
-  // ``at`` is where it begins in a ConeVector, and for a variable in a Primal.
+  // For part k of a stage, calls half_space(at), second_order(at, dimension, cone), zero_row(at) or variable(at), where
+  // ``at`` is the part's position in a ConeVector, or a variable's position in a Primal.
   template <typename HalfSpace, typename SecondOrder, typename ZeroRow, typename Variable>
   void part(int k, HalfSpace half_space, SecondOrder second_order, ZeroRow zero_row, Variable variable) const {
     if (k < r) return half_space(k);
@@ -318,10 +126,10 @@ class Program : public ProgramLayout {
     variable(k - m);
   }
 
-  // Half-spaces and second-order cones of every pack: a place in its part of a ConeVector, and which of its cones.
+  // Calls half_space(p, at) and second_order(p, at, dimension, cone) at every pack; ``at`` is as in ``part``.
   template <typename HalfSpace, typename SecondOrder>
   void each(HalfSpace half_space, SecondOrder second_order) const {
-    share(packs, Parts{r, cone_count}, [&](int p, int k) {
+    parallel_for(packs, Parts{r, cone_count}, [&](int p, int k) {
       if (k < r) return half_space(p, k);
       Cone c = cone_at(k - r);
       second_order(p, c.offset, c.dimension, k - r);
@@ -329,42 +137,42 @@ class Program : public ProgramLayout {
   }
 
   JAXSCP_CALLED void clear_zero_cone(Packs v) const {
-    share(packs, Parts{m}, [&](int p, int i) { of_cones(v, p)[zero + i] = all(0.0); });
+    parallel_for(packs, Parts{m}, [&](int p, int i) { of_cones(v, p)[zero + i] = all(0.0); });
   }
 
-  // Places beyond the chain's end hold nothing that counts; what is carried to others or summed is taken from here.
+  // v, or zero at stages beyond the end of the chain, whose numbers are undefined.
   Pack of_nodes(int p, Pack v) const { return where(within(p, nodes), v, all(0.0)); }
   Pack of_links(int p, Pack v) const { return where(within(p, nodes + 1), v, all(0.0)); }
-  Pack of_places(int p, int i, Shape shape, Pack v) const {
+  Pack of_stages(int p, int i, Shape shape, Pack v) const {
     return i < shape.of_node ? of_nodes(p, v) : of_links(p, v);
   }
 
-  // The largest entries of q and of b, without their signs.
+  // Largest absolute entries of q and of b.
   using Largest = Totals<0, 2>;
   JAXSCP_CALLED Largest largest_of_vectors() const {
     return fold(packs, Parts{primal.size + cone.size}, Largest::none(), [&](int p, int k, Largest& found) {
-      if (k < primal.size) return found.see(0, of_places(p, k, primal, magnitude(of_primal(q, p)[k])));
+      if (k < primal.size) return found.include_max(0, of_stages(p, k, primal, magnitude(of_primal(q, p)[k])));
       const int i = k - primal.size;
-      found.see(1, of_places(p, i, cone, magnitude(of_cones(b, p)[i])));
+      found.include_max(1, of_stages(p, i, cone, magnitude(of_cones(b, p)[i])));
     });
   }
 
  private:
   JAXSCP_CALLED void read_matrices() {
     int size = 0;
-    each_matrix([&](Matrix& matrix, From) { size += matrix.size(); });
-    share(size, [&](int at) {
-      each_matrix([&](Matrix& matrix, From from) {
+    each_matrix([&](Matrix& matrix, MatrixSource) { size += matrix.size(); });
+    parallel_for(size, [&](int at) {
+      each_matrix([&](Matrix& matrix, MatrixSource from) {
         if (at >= 0 && at < matrix.size() && !matrix.read(nodes, packs, from, at)) changed = true;
         at -= matrix.size();
       });
     });
   }
 
-  // act(matrix, where it is read from)
+  // Calls act(matrix, its source) for every matrix.
   template <typename Act>
   void each_matrix(Act act) {
-    const Given& g = given;
+    const ProgramData& g = data;
     act(hessian, {g.hessian, nullptr, n, n});
     act(after, {g.after, nullptr, m, n});
     act(before, {g.before + m * n, nullptr, m, n});
@@ -372,21 +180,21 @@ class Program : public ProgramLayout {
     act(user, {nullptr, g.cones, u, n});
   }
 
-  // A ConeVector of numbers of half-spaces, which are ``beyond`` past the chain's end, of the user's cones, and of links:
-  // those of hard rows are in the zero cone, of soft ones in the virtual control's. All else is zero.
-  JAXSCP_CALLED void gather_cones(const double* of_rows, double beyond, const double* Given::ConeGroup::*of_cone,
+  // Reads a ConeVector from arrays of half-spaces (``beyond`` past the end of the chain), user's cones and links. Hard
+  // rows of links go to the zero cone, soft rows to virtual control's cone. All other entries are zero.
+  JAXSCP_CALLED void gather_cones(const double* of_rows, double beyond, const double* ProgramData::ConeGroup::*of_cone,
                                   const double* of_links, Packs to) const {
-    share(to.size, [&](int i) { to[i] = all(0.0); });
+    parallel_for(to.size, [&](int i) { to[i] = all(0.0); });
     gather(of_rows, nodes, r, to, 0, cone.size, beyond);
     int at = r;
     for (int c = 0; c < sizes.groups; ++c) {
-      const int size = given.cones[c].rows;
-      gather(given.cones[c].*of_cone, nodes, size, to, at, cone.size);
+      const int size = data.cones[c].rows;
+      gather(data.cones[c].*of_cone, nodes, size, to, at, cone.size);
       at += size;
     }
     gather(of_links, nodes + 1, m, to, zero, cone.size);
     wait();
-    share(packs, Parts{m}, [&](int p, int i) {
+    parallel_for(packs, Parts{m}, [&](int p, int i) {
       Entries v = of_cones(to, p);
       Pack s = soft.of(p, m)[i], link = v[zero + i];
       v[zero + i] = (1.0 - s) * link;
@@ -396,10 +204,10 @@ class Program : public ProgramLayout {
 
   int constraints() const { return r + u + m + n + 1; }
 
-  // What a node adds to the link after it.
+  // Contribution of a node to the link after it.
   Pack carried(int p, int i, Packs x) const { return of_nodes(p, before.times(p, i, of_primal(x, p))); }
 
-  // Row k of A x, of half-spaces, the user's cones, links and bounds with the norm's arguments; v is x.
+  // Row k of A x: half-spaces, user's cones, links, arguments of the norm, bounds; v is x at the stage.
   template <typename Put>
   void constraint(int p, int k, Entries v, Put put) const {
     if (k < r) {
@@ -420,7 +228,7 @@ class Program : public ProgramLayout {
     }
   }
 
-  // Entry j of A'y, of whose links' multipliers ``multiplier_`` has those of links; v is y.
+  // Entry j of A'y, with the links' multipliers from ``multiplier_``; v is y at the stage.
   Pack transposed(int p, int j, Entries v) const {
     if (j == xi) return has_norm ? -v[trust] : all(0.0);
     if (j == zeta) return -v[virtual_];
@@ -433,7 +241,7 @@ class Program : public ProgramLayout {
     return user.add_transposed(p, j, total, [&](int i) { return v[r + i]; });
   }
 
-  Packs carry_, multiplier_;  // of links: what the node before adds, and what a product's links have
+  Packs carry_, multiplier_;  // of links: contribution of the node before, and multipliers in a product
 };
 
 }  // namespace jaxscp

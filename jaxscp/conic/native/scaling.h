@@ -1,4 +1,4 @@
-// The Nesterov-Todd scaling of an iterate.
+// Nesterov-Todd scaling of an iterate.
 #pragma once
 
 #include "cones.h"
@@ -6,19 +6,19 @@
 
 namespace jaxscp {
 
-// Nesterov-Todd scaling of the product cone; nothing on the zero cone.
+// Nesterov-Todd scaling of the product cone, without the zero cone.
 class Scaling {
  public:
-  Packs w;    // as a ConeVector: roots of the half-spaces' ratios, and the cones' points
-  Packs eta;  // of each cone
+  Packs w;    // ConeVector: (s / y)^1/2 of half-spaces, w of second-order cones
+  Packs eta;  // eta of each second-order cone
 
   Scaling(const Program& p, Arena& arena)
       : w(arena.take(p.packs * p.cone.size)), eta(arena.take(p.packs * p.cone_count)), program_(p) {}
 
-  // For slack and multiplier the identity of the cone.
+  // Scaling of the cone's identity, as slack and as multiplier.
   JAXSCP_CALLED void set_unit() {
-    share(w.size, [&](int i) { w[i] = all(0.0); });
-    share(eta.size, [&](int i) { eta[i] = all(1.0); });
+    parallel_for(w.size, [&](int i) { w[i] = all(0.0); });
+    parallel_for(eta.size, [&](int i) { eta[i] = all(1.0); });
     program_.each([&](int p, int i) { at(w, p)[i] = all(1.0); },
                   [&](int p, int i, int, int) { at(w, p)[i] = all(1.0); });
   }
@@ -26,10 +26,10 @@ class Scaling {
   JAXSCP_CALLED void set(Packs s, Packs y) {
     program_.each([&](int p, int i) { at(w, p)[i] = root(at(s, p)[i] * inverse(at(y, p)[i])); },
                   [&](int p, int i, int d, int c) {
-                    soc::Held point = soc::room(at(w, p) + i, d);
-                    soc::scaling(soc::hold(at(s, p) + i, d), soc::hold(at(y, p) + i, d), point,
+                    soc::ConeRegisters point = soc::output(at(w, p) + i, d);
+                    soc::scaling(soc::load(at(s, p) + i, d), soc::load(at(y, p) + i, d), point,
                                  eta.of(p, program_.cone_count)[c]);
-                    soc::keep(point, at(w, p) + i);
+                    soc::store(point, at(w, p) + i);
                   });
   }
 

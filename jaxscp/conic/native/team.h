@@ -1,6 +1,6 @@
-// The threads of a CPU that solve a program together. One begins, and others join it as they become free.
+// Threads of a CPU that solve one program together. One thread begins, others join when they are free.
 //
-// A phase is as short as a microsecond, so that who is done with it waits for the others without sleeping.
+// A phase may take only a microsecond, so a thread that has finished its part spins instead of sleeping.
 #pragma once
 
 #include <algorithm>
@@ -12,20 +12,20 @@
 
 namespace jaxscp {
 
-constexpr int kFoundTogether = 12;  // sums and the like, at most
+constexpr int kMaxTotals = 12;  // sums and maxima of one reduction
 
 class Team {
  public:
-  // For up to ``most`` threads, whose sums are over up to ``packs``.
-  Team(int most, int packs)
-      : most_(most), parts_{std::vector<Pack>(packs * kFoundTogether), std::vector<Pack>(packs * kFoundTogether)} {}
+  // Team of up to ``max_size`` threads, with reductions over up to ``packs`` packs.
+  Team(int max_size, int packs)
+      : max_size_(max_size), parts_{std::vector<Pack>(packs * kMaxTotals), std::vector<Pack>(packs * kMaxTotals)} {}
 
   int size() const { return size_; }
 
-  // Returns when all have come here: each then sees what the others did before.
-  void wait(int me) {
+  // Barrier: returns when all threads have called it; each thread then sees the others' writes.
+  void wait(int rank) {
     if (size_ == 1) return;
-    if (me == 0) {
+    if (rank == 0) {
       gather();
       release();
     } else {
@@ -33,44 +33,43 @@ class Team {
     }
   }
 
-  // Between phases: the number of a thread that wants to join, which waits here until it takes part. Negative where it
-  // does not, as no others are needed, or what it was to do is done.
+  // Rank of a thread that joins between phases, after it was admitted; negative if the team is full or closed.
   int join() {
-    const int me = ++comers_;
-    if (me >= most_) return -1;
-    until([&] { return admitted_.load(std::memory_order_acquire) > me || closed_.load(std::memory_order_acquire); });
-    return admitted_.load(std::memory_order_acquire) > me ? me : -1;
+    const int rank = ++joined_;
+    if (rank >= max_size_) return -1;
+    until([&] { return admitted_.load(std::memory_order_acquire) > rank || closed_.load(std::memory_order_acquire); });
+    return admitted_.load(std::memory_order_acquire) > rank ? rank : -1;
   }
 
-  // Between phases, for all who take part: those who came meanwhile do so from here on. False for who no longer does.
-  bool admit(int me) {
-    if (me > 0) {
+  // Called by all members between phases: admits the threads that joined meanwhile. False for a member that leaves.
+  bool admit(int rank) {
+    if (rank > 0) {
       await_leader();
-      return me < size_;
+      return rank < size_;
     }
     gather();
-    if (late_ > kPatience) closed_.store(true, std::memory_order_release);
-    resize(closed_ ? 1 : std::min(1 + comers_, most_));
+    if (delays_ > kMaxDelays) closed_.store(true, std::memory_order_release);
+    resize(closed_ ? 1 : std::min(1 + joined_, max_size_));
     release();
     admitted_.store(size_, std::memory_order_release);
     return true;
   }
 
-  // The first thread goes on alone; the others have left after their last phase.
+  // Closes the team after its last phase; the first thread goes on alone.
   void dismiss() {
     resize(1);
     closed_.store(true, std::memory_order_release);
   }
 
-  // What packs add to sums. There are two, as one is still read when the next is written.
+  // Contributions of packs to a reduction. Two buffers alternate, as one is still read while the next is written.
   Pack* parts(int turn) { return parts_[turn].data(); }
 
  private:
-  static constexpr int kSpins = 400;     // a few microseconds: who is waited for may not be on a core
-  static constexpr int kPatience = 15;   // how often that, before others are not worth waiting for
-  static constexpr int kYields = 1000;   // half a millisecond: as bad as all of these
+  static constexpr int kSpins = 400;     // a few microseconds; after that, an awaited thread may not be running
+  static constexpr int kMaxDelays = 15;  // delays after which the team closes, as it is too slow
+  static constexpr int kYields = 1000;   // half a millisecond: a delay that closes the team at once
 
-  // Returns when it holds: how often its core was offered to others meanwhile.
+  // Waits for a condition; returns how often this thread yielded its core meanwhile.
   template <typename Condition>
   static int until(Condition holds) {
     for (int i = 0; i < kSpins; ++i) {
@@ -84,13 +83,13 @@ class Team {
     return yields;
   }
 
-  // Who was let go may still read the size, which then stays as it is.
+  // A member that has left may still read the size, so an unchanged size is not written.
   void resize(int size) {
     if (size != size_) size_ = size;
   }
   void gather() {
     int yields = until([&] { return arrived_.load(std::memory_order_acquire) == size_ - 1; });
-    if (yields > 0) late_ += yields > kYields ? kPatience + 1 : 1;
+    if (yields > 0) delays_ += yields > kYields ? kMaxDelays + 1 : 1;
     arrived_.store(0, std::memory_order_relaxed);
   }
   void release() { round_.store(round_.load(std::memory_order_relaxed) + 1, std::memory_order_release); }
@@ -100,9 +99,9 @@ class Team {
     until([&] { return round_.load(std::memory_order_acquire) != round; });
   }
 
-  const int most_;
-  int size_ = 1, late_ = 0;  // changed by the first thread, while the others wait for it
-  std::atomic<int> comers_{0};
+  const int max_size_;
+  int size_ = 1, delays_ = 0;  // written by the first thread while the others wait
+  std::atomic<int> joined_{0};
   alignas(64) std::atomic<int> arrived_{0};
   alignas(64) std::atomic<long long> round_{0};
   alignas(64) std::atomic<int> admitted_{1};
@@ -110,12 +109,12 @@ class Team {
   std::vector<Pack> parts_[2];
 };
 
-// A thread's place in its team.
-struct Seat {
+// This thread's membership of a team.
+struct TeamMember {
   Team* team = nullptr;
-  int me = 0;    // the first is zero, and who has not joined yet is negative
-  int turn = 0;  // of ``Team::parts``
+  int rank = 0;  // zero for the first thread, negative before joining
+  int turn = 0;  // buffer of ``Team::parts``
 };
-inline thread_local Seat seat;
+inline thread_local TeamMember this_thread;
 
 }  // namespace jaxscp

@@ -1,4 +1,4 @@
-// Ruiz's scales of a program, which is then in their units (``conic/equilibrate.py`` has the mathematics).
+// Ruiz equilibration of a program, as in ``conic/equilibrate.py``.
 #pragma once
 
 #include "program.h"
@@ -7,7 +7,7 @@ namespace jaxscp {
 
 class Scales {
  public:
-  Packs columns, links, rows, user;  // ``user``: of the rows of the user's cones, alike within a cone
+  Packs columns, links, rows, user;  // ``user``: rows of the user's cones, with one scale per cone
   double cost = 1.0;
 
   Scales(Program& program, Arena& arena)
@@ -16,9 +16,9 @@ class Scales {
         columns_(arena.take(columns.size)), links_(arena.take(links.size)), rows_(arena.take(rows.size)),
         user_(arena.take(user.size)), before_(arena.take(links.size)) {}
 
-  // Finds them for a program that was read, and takes it to their units.
+  // Finds the scales of the program, and scales the program.
   JAXSCP_CALLED void apply(int rounds) {
-    for (Packs v : {columns, links, rows, user}) share(v.size, [&](int i) { v[i] = all(1.0); });
+    for (Packs v : {columns, links, rows, user}) parallel_for(v.size, [&](int i) { v[i] = all(1.0); });
     once([&] { cost = 1.0; });
     for (int round = 0; round < rounds; ++round) {
       measure();
@@ -28,10 +28,10 @@ class Scales {
     scale_vectors();
   }
 
-  // Takes a point to them, and multipliers but for the heads of cones of norms.
+  // Scales variables x and multipliers y, except the heads of the norms' cones.
   JAXSCP_CALLED void apply(Packs x, Packs y) const {
     const Program& g = program_;
-    share(g.packs, Parts{g.n}, [&](int p, int j) {
+    parallel_for(g.packs, Parts{g.n}, [&](int p, int j) {
       g.of_primal(x, p)[j] = g.of_primal(x, p)[j] / columns.of(p, g.n)[j];
     });
     multiply_rows(y, [&](Pack scale) { return cost / scale; });
@@ -40,16 +40,16 @@ class Scales {
  private:
   static constexpr double kLowest = 1e-4, kHighest = 1e4, kEmpty = 1e-12;
 
-  // Of half-spaces, and then of rows of the user's cones.
+  // Scale of row i: half-spaces first, then rows of the user's cones.
   Pack of_row(int p, int i) const {
     return i < program_.r ? rows.of(p, program_.r)[i] : user.of(p, program_.u)[i - program_.r];
   }
 
-  // Largest entries of the scaled program, by columns, rows and cones.
+  // Largest entries of the scaled program in each column, row and cone.
   JAXSCP_CALLED void measure() {
     const Program& g = program_;
-    share(g.packs, Parts{g.m}, [&](int p, int i) { before_.of(p, g.m)[i] = largest(g.before, p, i); });
-    share(g.packs, Parts{g.n + g.m + g.r + g.user_cones}, [&](int p, int k) {
+    parallel_for(g.packs, Parts{g.m}, [&](int p, int i) { before_.of(p, g.m)[i] = largest(g.before, p, i); });
+    parallel_for(g.packs, Parts{g.n + g.m + g.r + g.user_cones}, [&](int p, int k) {
       if (k < g.n) {
         columns_.of(p, g.n)[k] = columns.of(p, g.n)[k] * largest_of_column(p, k);
       } else if (const int i = k - g.n; i < g.m) {
@@ -67,7 +67,7 @@ class Scales {
     });
   }
 
-  // Of a row, but for its own scale.
+  // Largest entry of a row, without the row's own scale.
   Pack largest(const Matrix& matrix, int p, int i) const {
     Entries a = matrix.at(p), c = columns.of(p, program_.n);
     Pack found = all(0.0);
@@ -79,40 +79,40 @@ class Scales {
     Entries c = columns.of(p, g.n), link = links.of(p, g.m), next = links.of(p + 1, g.m);
     const bool last = p + 1 == g.packs;
     Pack found = all(0.0);
-    auto see = [&](const Matrix& matrix, auto scale) {
+    auto include = [&](const Matrix& matrix, auto scale) {
       Entries a = matrix.at(p);
       matrix.each_of_column(j, [&](int e, int i) { found = larger(magnitude(a[e]) * scale(i), found); });
     };
-    see(g.hessian, [&](int i) { return cost * c[i]; });
-    see(g.after, [&](int i) { return link[i]; });
-    see(g.before, [&](int i) { return one_after(link[i], last ? all(0.0) : next[i]); });
-    see(g.rows, [&](int i) { return of_row(p, i); });
-    see(g.user, [&](int i) { return of_row(p, g.r + i); });
+    include(g.hessian, [&](int i) { return cost * c[i]; });
+    include(g.after, [&](int i) { return link[i]; });
+    include(g.before, [&](int i) { return one_after(link[i], last ? all(0.0) : next[i]); });
+    include(g.rows, [&](int i) { return of_row(p, i); });
+    include(g.user, [&](int i) { return of_row(p, g.r + i); });
     return found;
   }
 
   JAXSCP_CALLED void refine() {
     const Program& g = program_;
     using Largest = Totals<0, 1>;
-    const double price = fold(g.packs, Parts{g.n + 1}, Largest::none(), [&](int p, int j, Largest& found) {
+    const double largest = fold(g.packs, Parts{g.n + 1}, Largest::none(), [&](int p, int j, Largest& found) {
       Pack v = cost * magnitude(g.of_primal(g.q, p)[j < g.n ? j : g.xi]);
       if (j < g.n) v = v * columns.of(p, g.n)[j] * shrunk(columns_.of(p, g.n)[j]);
-      found.see(0, g.of_nodes(p, v));
+      found.include_max(0, g.of_nodes(p, v));
     }).largest(0);
     auto change = [&](Packs scales, Packs sizes) {
-      share(scales.size, [&](int i) { scales[i] = clipped(scales[i] * shrunk(sizes[i])); });
+      parallel_for(scales.size, [&](int i) { scales[i] = clipped(scales[i] * shrunk(sizes[i])); });
     };
     change(columns, columns_), change(rows, rows_), change(user, user_);
-    share(g.packs, Parts{g.m}, [&](int p, int i) {
+    parallel_for(g.packs, Parts{g.m}, [&](int p, int i) {
       Entries scale = links.of(p, g.m);
       const Pack size = where(g.soft.of(p, g.m)[i] > 0.0, largest_of_soft(links_, p), links_.of(p, g.m)[i]);
       scale[i] = clipped(scale[i] * shrunk(size));
     });
-    // A cost without linear terms gives no hint: to take it for a tiny one would blow up the prices of the links.
-    once([&] { cost /= price > 0.0 ? price < kLowest ? kLowest : price > kHighest ? kHighest : price : 1.0; });
+    // Without linear terms the cost has no known size. A tiny size would inflate the penalty weights of the links.
+    once([&] { cost /= largest > 0.0 ? largest < kLowest ? kLowest : largest > kHighest ? kHighest : largest : 1.0; });
   }
 
-  // Of a link's rows with virtual control, which have one scale.
+  // Largest entry among a link's soft rows, which share one scale.
   Pack largest_of_soft(Packs v, int p) const {
     Entries soft = program_.soft.of(p, program_.m), of = v.of(p, program_.m);
     Pack found = all(0.0);
@@ -134,12 +134,12 @@ class Scales {
 
   JAXSCP_CALLED void scale_vectors() {
     const Program& g = program_;
-    share(g.packs, Parts{g.primal.size}, [&](int p, int j) {
+    parallel_for(g.packs, Parts{g.primal.size}, [&](int p, int j) {
       Pack by = all(cost);
       if (j < g.n) {
         const Pack column = columns.of(p, g.n)[j];
         by = cost * column;
-        if (g.has_norm) g.scale.of(p, g.n)[j] = column * g.scale.of(p, g.n)[j];  // and the centre the inverse
+        if (g.has_norm) g.scale.of(p, g.n)[j] = column * g.scale.of(p, g.n)[j];  // scale * centre is unchanged
       } else if (j == g.zeta) {
         const Pack shared = largest_of_soft(links, p);
         by = cost / where(shared > 0.0, shared, all(1.0));
@@ -149,11 +149,11 @@ class Scales {
     multiply_rows(g.b, [](Pack scale) { return scale; });
   }
 
-  // Multiplies a ConeVector, but for cones of norms and the heads of virtual controls, by what a row's scale says.
+  // Multiplies a ConeVector by factor(scale of the row), except the trust region's cone and virtual control's head.
   template <typename Factor>
   void multiply_rows(Packs of, Factor factor) const {
     const Program& g = program_;
-    share(g.packs, Parts{g.r + g.u + g.m}, [&](int p, int i) {
+    parallel_for(g.packs, Parts{g.r + g.u + g.m}, [&](int p, int i) {
       Entries v = g.of_cones(of, p);
       if (i < g.r + g.u) {
         v[i] = factor(of_row(p, i)) * v[i];
@@ -169,8 +169,8 @@ class Scales {
   static Pack clipped(Pack scale) { return smaller(larger(scale, all(kLowest)), all(kHighest)); }
 
   Program& program_;
-  Packs columns_, links_, rows_, user_;  // the largest entries
-  Packs before_;                         // of links, what the node before has
+  Packs columns_, links_, rows_, user_;  // largest entries
+  Packs before_;                         // largest entries of the links' rows in E, the matrix of the node before
 };
 
 }  // namespace jaxscp

@@ -1,0 +1,123 @@
+"""Which columns of a table are x, y and z: by their names, or by how their numbers run."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxscp.corridor.file_content import CloudFileError, FileLayout
+
+_FEWEST = 5
+_STEADY = 0.7
+_UNITS = r"mm|cm|dm|km|m|ft|in"
+
+_NAMES = {
+    "x": r"(\w*[_.: ])?x|p(os)?x|points?[:_. ]0|x_?(pos|coord)\w*|cartesianx|east(ing)?",
+    "y": r"(\w*[_.: ])?y|p(os)?y|points?[:_. ]1|y_?(pos|coord)\w*|cartesiany|north(ing)?",
+    "z": r"(\w*[_.: ])?z|p(os)?z|points?[:_. ]2|z_?(pos|coord)\w*|cartesianz|up|elev(ation)?|height|alt(itude)?",
+}
+_NORTH_EAST_DOWN = {"x": r"north", "y": r"east", "z": r"down"}
+
+
+def named_columns(
+    path: Path, header: list[str], layout: FileLayout
+) -> tuple[str | None, str | None, list[int]]:
+    """Unit and frame that a header states, or None, and the columns of x, y and z.
+
+    Raises:
+        CloudFileError: the header names no x, y and z, and the layout does not either.
+
+    Example:
+        >>> named_columns(Path("a.csv"), ["id", "X [mm]", "Y [mm]", "Z [mm]"], FileLayout())
+        ('mm', None, [1, 2, 3])
+    """
+    split = [_name_and_unit(name) for name in header]
+    names = [name for name, _ in split]
+    if layout.columns is not None:
+        columns = [c if isinstance(c, int) else _column(path, names, c.lower()) for c in layout.columns]
+        return split[columns[0]][1], None, columns
+    for patterns, frame in ((_NORTH_EAST_DOWN, "ned"), (_NAMES, None)):
+        found = [_matching(names, patterns[axis]) for axis in "xyz"]
+        if all(found):
+            columns = [places[0] for places in found]
+            return split[columns[0]][1], frame, columns
+    geographic = any(re.match(r"lat|lon", name) for name in names)
+    hint = "degrees are no metres: project them first" if geographic else "name them by columns=(...)"
+    raise CloudFileError(f"{path}: no columns x, y and z in its header {' '.join(header)!r}; {hint}")
+
+
+def has_names(header: list[str]) -> bool:
+    """Whether a header names x, y and z.
+
+    Example:
+        >>> has_names(["X", "Y", "Z", "R"]), has_names(["made", "by", "Jay"])
+        (True, False)
+    """
+    names = [_name_and_unit(name)[0] for name in header]
+    return any(all(_matching(names, p[axis]) for axis in "xyz") for p in (_NORTH_EAST_DOWN, _NAMES))
+
+
+def chosen_columns(
+    source: str, rows: Float[np.ndarray, "rows columns"], layout: FileLayout
+) -> tuple[list[int], tuple[str, ...]]:
+    """Columns of x, y and z in a table without names, and a note where these are not the first three.
+
+    A column that counts is the number of a point, and x follows it.
+
+    Raises:
+        CloudFileError: the first column is a time or a number, as far as one can tell, or a colour.
+
+    Example:
+        >>> counted = np.column_stack([np.arange(9), np.zeros((9, 3))])
+        >>> chosen_columns("a.txt", counted, FileLayout())
+        ([1, 2, 3], ('the first column counts points; x y z are columns 2 to 4',))
+    """
+    if layout.columns is not None:
+        columns = [int(column) for column in layout.columns]
+        if rows.size and max(columns) >= rows.shape[1]:
+            raise CloudFileError(f"{source}: no column {max(columns)} among {rows.shape[1]} (counted from 0)")
+        return columns, ()
+    if rows.shape[0] < _FEWEST or rows.shape[1] < 4:
+        return [0, 1, 2], ()
+    first = rows[:, 0]
+    steps = np.diff(first)
+    if first[0] in (0.0, 1.0) and np.all(steps == 1.0):
+        return [1, 2, 3], ("the first column counts points; x y z are columns 2 to 4",)
+    if np.all(steps > 0) and (_whole(first) or np.std(steps) < _STEADY * np.mean(steps)):
+        raise CloudFileError(
+            f"{source}: the first of {rows.shape[1]} columns rises from {first[0]:g} in every row: a number or a "
+            "time rather than x? Say which columns are x, y and z: columns=(1, 2, 3), counted from 0"
+        )
+    colour = rows[:, :3]
+    if (
+        rows.shape[1] >= 6
+        and _whole(colour)
+        and np.all((colour >= 0) & (colour <= 255))
+        and not _whole(rows[:, 3:6])
+    ):
+        raise CloudFileError(
+            f"{source}: the first three of {rows.shape[1]} columns are whole numbers from 0 to 255: a colour rather "
+            "than a position? Say which columns are x, y and z: columns=(3, 4, 5), counted from 0"
+        )
+    return [0, 1, 2], ()
+
+
+def _name_and_unit(name: str) -> tuple[str, str | None]:
+    name = name.strip().strip("\"'").lower()
+    found = re.fullmatch(rf"(.*?)\s*(?:[\[(]\s*({_UNITS})\s*[\])]|_({_UNITS}))", name)
+    return (found[1].strip(), found[2] or found[3]) if found else (name, None)
+
+
+def _matching(names: list[str], pattern: str) -> list[int]:
+    return [place for place, name in enumerate(names) if re.fullmatch(pattern, name)]
+
+
+def _column(path: Path, names: list[str], name: str) -> int:
+    if name not in names:
+        raise CloudFileError(f"{path}: no column {name!r} among {' '.join(names)}")
+    return names.index(name)
+
+
+def _whole(numbers: np.ndarray) -> bool:
+    return bool(np.all(numbers == np.round(numbers)))

@@ -1,0 +1,64 @@
+"""What a reader of one file format returns, and what it is told."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Num
+
+
+class CloudFileError(ValueError):
+    """A file that cannot be read as its suffix says; the message names the file, the place and the cause."""
+
+
+class FileLayout(eqx.Module):
+    """Facts about a file that its format does not hold.
+
+    Example:
+        >>> FileLayout(columns=("east", "north", "height")).columns
+        ('east', 'north', 'height')
+    """
+
+    columns: tuple[str, str, str] | tuple[int, int, int] | None = None
+    """Columns of x, y and z in a table: names in its header, or numbers from 0."""
+    cell: float | None = None
+    """Edge of a cell of an occupancy array (``.npy`` of bool), metres."""
+    corner: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Lower corner of an occupancy array, metres."""
+    height: float | None = None
+    """Height of a floor plan (``.yaml``, or a flat ``.npy`` of bool) above z = 0, metres."""
+
+
+class Request(NamedTuple):
+    """Options of ``read_cloud`` that a reader needs."""
+
+    library: Any
+    """The format's library, or None."""
+    load: Callable[[str], Any]
+    """Loads another library by its name; the error names the extra that holds it."""
+    spacing: float
+    """Largest hole to leave in the samples of a mesh, in the file's unit."""
+    seed: int
+    """Seed of these samples."""
+    layout: FileLayout
+    """Facts that the file does not hold."""
+
+
+class FileContent(NamedTuple):
+    """Points of a file, and the facts about them that the file states."""
+
+    points: Num[np.ndarray, "points 3"]
+    """Positions in the file's unit and frame; NaN where the file has no return."""
+    unit: str | None = None
+    """The unit, where the format or a header states it."""
+    frame: str | None = None
+    """The frame, where the format or a header states it."""
+    cover: float = 0.0
+    """Distance from a surface to its nearest point, where the format bounds it, in the file's unit."""
+    viewpoint: tuple[float, ...] | None = None
+    """Sensor position and quaternion (w, x, y, z), where the file has them and they are not the identity."""
+    notes: tuple[str, ...] = ()
+    """Assumptions made while reading."""
+    doubts: tuple[str, ...] = ()
+    """Questions that the file leaves open, and that a plan must not leave open."""

@@ -1,0 +1,270 @@
+"""A map judged as a map, before anyone flies through it: units, extent, spacing, place and frame."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from jaxscp.corridor.clouds import PointCloud
+from jaxscp.corridor.extent import Triple, main_box, within
+from jaxscp.corridor.limits import Point
+from jaxscp.corridor.spacing import typical_spacing
+
+_NEAR = 5.0
+_BELOW = 0.05
+_OUTSIDE = 0.5
+_TALL = 1.5
+_LEVEL = 1e-6
+_FEW = 40
+
+
+class MapError(ValueError):
+    """A map that no plan may trust; the message names the file, the cause and the option that exists."""
+
+
+class Flight(eqx.Module):
+    """What is asked of a map."""
+
+    start: Point
+    """Start, (3,), metres."""
+    goal: Point
+    """Goal, (3,), metres."""
+    radius: float
+    """Safety radius of the vehicle, metres."""
+    lower: Point | None = None
+    """Lower corner that the caller stated for the vehicle's centre, metres."""
+    upper: Point | None = None
+    """Upper corner that the caller stated, metres."""
+
+    @property
+    def ends(self) -> Float[np.ndarray, "2 3"]:
+        """Start and goal."""
+        return np.stack([self.start, self.goal])
+
+    @property
+    def length(self) -> float:
+        """Straight distance from start to goal, metres."""
+        return float(np.linalg.norm(self.goal - self.start))
+
+
+class MapReport(eqx.Module):
+    """Facts about a map, and whether it may be planned in."""
+
+    source: str
+    """File that the map came from."""
+    points: int
+    """Number of points."""
+    dropped: int
+    """Points of the file that were not usable."""
+    strays: int
+    """Points far from all others, which do not widen the box."""
+    lower: Float[np.ndarray, "3"]
+    """Lower corner of the map's box, metres."""
+    upper: Float[np.ndarray, "3"]
+    """Upper corner of the map's box, metres."""
+    spacing: float
+    """Median distance between neighbouring points, metres."""
+    radius: float | None = None
+    """Safety radius that the spacing is compared with, metres."""
+    inside: tuple[bool, bool] | None = None
+    """Whether start and goal lie in the map's box."""
+    assumed: tuple[str, ...] = ()
+    """Assumptions: facts that neither the file nor the caller stated."""
+    warnings: tuple[str, ...] = ()
+    """Doubts that do not prevent a plan."""
+    refused: tuple[str, ...] = ()
+    """Reasons why no plan may be made."""
+
+    @property
+    def accepted(self) -> bool:
+        """Whether a plan may be made."""
+        return not self.refused
+
+    def __str__(self) -> str:
+        """The report in lines, as the command line prints it."""
+        size = " x ".join(f"{length:.3g}" for length in self.upper - self.lower)
+        lines = [
+            f"map {self.source}: {self.points} points, {self.dropped} dropped, {self.strays} stray",
+            f"box {_place(self.lower)} to {_place(self.upper)} m, {size} m",
+            f"neighbouring points {self.spacing:.3g} m from each other"
+            + (f", safety radius {self.radius:.3g} m" if self.radius is not None else ""),
+        ]
+        if self.inside is not None:
+            lines.append(
+                ", ".join(
+                    f"{n} {'in' if i else 'outside'} the box"
+                    for n, i in zip(("start", "goal"), self.inside, strict=True)
+                )
+            )
+        for heading, entries in (
+            ("assumed", self.assumed),
+            ("warning", self.warnings),
+            ("refused", self.refused),
+        ):
+            lines += [f"{heading}: {entry}" for entry in entries]
+        return "\n".join(lines)
+
+
+def map_report(
+    cloud: PointCloud,
+    start: Triple | None = None,
+    goal: Triple | None = None,
+    radius: float = 0.25,
+    *,
+    lower: Triple | None = None,
+    upper: Triple | None = None,
+) -> MapReport:
+    """Judge a map for a flight: units, spacing, place and frame.
+
+    A file whose unit or frame nobody stated is refused where its points contradict metres or z up. An array states
+    both, so that the same finding is a warning.
+
+    Args:
+        cloud: the map.
+        start: (3,) start of the flight, metres; None judges the map alone.
+        goal: (3,) its goal, metres.
+        radius: safety radius of the vehicle, metres.
+        lower: (3,) lower corner that the caller states for the vehicle's centre, metres.
+        upper: (3,) upper corner that the caller states, metres.
+
+    Example:
+        >>> ground = PointCloud.of([[0.2 * x, 0.2 * y, 0.0] for x in range(50) for y in range(50)])
+        >>> report = map_report(ground, [1, 1, 1], [8, 8, 1])
+        >>> report.accepted, round(report.spacing, 3), report.inside
+        (True, 0.2, (False, False))
+    """
+    origin = cloud.provenance
+    source = "array" if origin is None else origin.file
+    if cloud.count == 0:
+        empty = () if origin is None else ("the file holds no point, so that no obstacle is known",)
+        nowhere = np.zeros(3), np.zeros(3), float("inf")
+        return MapReport(source, 0, cloud.dropped, 0, *nowhere, radius, refused=empty)
+    box = main_box(cloud.points)
+    spacing = typical_spacing(cloud.points)
+    facts = MapReport(source, cloud.count, cloud.dropped, box.strays, box.lower, box.upper, spacing, radius)
+    facts = replace(facts, assumed=_assumed(cloud, box.strays))
+    if start is None or goal is None:
+        return facts
+    corners = [None if corner is None else np.asarray(corner, float) for corner in (lower, upper)]
+    flight = Flight(np.asarray(start, float), np.asarray(goal, float), radius, *corners)
+    inside = [bool(np.all((end >= box.lower) & (end <= box.upper))) for end in flight.ends]
+    findings = list(_findings(facts, cloud, flight))
+    return replace(
+        facts,
+        inside=(inside[0], inside[1]),
+        warnings=tuple(text for severe, text in findings if not severe),
+        refused=tuple(text for severe, text in findings if severe),
+    )
+
+
+def _assumed(cloud: PointCloud, strays: int) -> tuple[str, ...]:
+    origin = cloud.provenance
+    notes = [] if origin is None else list(origin.notes)
+    if origin is not None and origin.unit is None:
+        notes.append("unit m")
+    if origin is not None and origin.frame is None:
+        notes.append("z up")
+    if strays:
+        notes.append(f"{strays} stray points do not widen the map's box")
+    return tuple(notes)
+
+
+def _findings(facts: MapReport, cloud: PointCloud, flight: Flight) -> Iterator[tuple[bool, str]]:
+    """Findings about a map and a flight, each with whether it prevents a plan."""
+    origin = cloud.provenance
+    if origin is not None:
+        yield from ((True, doubt) for doubt in origin.doubts)
+    yield from _unit_findings(
+        facts, flight, of_file=origin is not None, stated=origin is not None and origin.unit is not None
+    )
+    yield from _place_findings(facts, flight, of_file=origin is not None)
+    if origin is not None and origin.frame is None and _upside_down(facts, cloud, flight):
+        yield (
+            True,
+            f"start and goal lie above the map, at z = {flight.start[2]:g} and {flight.goal[2]:g} m, and in it "
+            f"if z points down: z of the map runs from {facts.lower[2]:g} to {facts.upper[2]:g} m. State the frame: "
+            "frame='ned', 'frd' or 'enu' (--frame)",
+        )
+    if flight.lower is not None and flight.upper is not None:
+        low, high = flight.lower - flight.radius, flight.upper + flight.radius
+        if not within(cloud.points, low, high).any():
+            yield (
+                origin is not None,
+                f"none of its {facts.points} points lies within the limits {_place(flight.lower)} to "
+                f"{_place(flight.upper)} m: the map is elsewhere, or its unit or offset is another one",
+            )
+
+
+def _unit_findings(
+    facts: MapReport, flight: Flight, of_file: bool, stated: bool
+) -> Iterator[tuple[bool, str]]:
+    extent = float((facts.upper - facts.lower).max())
+    if facts.points > 1 and extent == 0.0:
+        yield of_file, f"all of its {facts.points} points lie at {_place(facts.lower)} m"
+    elif facts.points > 1 and extent < 2.0 * flight.radius and facts.points > _FEW:
+        yield (
+            of_file and not stated,
+            f"the whole map is {extent:.3g} m wide, less than a vehicle of radius {flight.radius:g} m. State its unit: "
+            "unit='km' say",
+        )
+    few = 1 if of_file else _FEW
+    wide = facts.spacing > (2.0 if of_file else 20.0) * flight.radius > 0.0
+    if wide and not stated and facts.points > few and np.isfinite(facts.spacing):
+        yield (
+            of_file,
+            f"neighbouring points are {facts.spacing:.3g} m from each other, so that a vehicle of radius "
+            f"{flight.radius:g} m passes between them; the map spans {extent:.4g} m, the flight {flight.length:.3g} m. "
+            "State the unit of the file, mm say, or m if that is right, which closes the gaps: unit='m' (--unit m)",
+        )
+
+
+def _place_findings(facts: MapReport, flight: Flight, of_file: bool) -> Iterator[tuple[bool, str]]:
+    """Whether start and goal lie in or near the box of the map, and not below it."""
+    box = f"the map's box {_place(facts.lower)} to {_place(facts.upper)} m"
+    remedy = "State where the local origin lies in the map: offset=(x, y, z), or its unit or frame"
+    beyond = np.maximum(facts.lower - flight.ends, flight.ends - facts.upper)
+    near = max(_NEAR, float((facts.upper - facts.lower).max()))
+    ends = f"start {_place(flight.start)} and goal {_place(flight.goal)}"
+    if np.any(beyond.max(axis=1) > near):
+        far = float(beyond.max())
+        yield of_file, f"{ends} do not both lie in or near {box}: {far:.4g} m outside. {remedy}"
+        return
+    sides = np.stack([facts.lower - flight.ends, flight.ends - facts.upper])[:, :, :2]
+    if (
+        of_file
+        and np.any(np.all(sides > _OUTSIDE, axis=1))
+        and (flight.lower is None or flight.upper is None)
+    ):
+        yield (
+            True,
+            f"{ends} both lie outside {box}, on one side of it. {remedy}; or state limits: lower= and upper=",
+        )
+        return
+    below = facts.lower[2] - flight.ends[:, 2]
+    reach = -np.inf if flight.lower is None else flight.lower[2]
+    if np.any(below > _BELOW) and not (np.isfinite(reach) and reach <= flight.ends[:, 2].min()):
+        yield (
+            True,
+            f"{ends}: z lies {below.max():.3g} m below the lowest point of the map, {facts.lower[2]:g} m, where "
+            "nobody saw free space. State the offset or the frame of the map, or a limit: lower=(x, y, z)",
+        )
+
+
+def _upside_down(facts: MapReport, cloud: PointCloud, flight: Flight) -> bool:
+    """Whether both ends lie above the map, and in it, clear of its points, if z points down."""
+    z = flight.ends[:, 2]
+    if (
+        np.any(z < facts.upper[2] - _LEVEL)
+        or np.any(-z < facts.lower[2])
+        or facts.upper[2] - facts.lower[2] < _TALL
+    ):
+        return False
+    mirrored = flight.ends * [1.0, 1.0, -1.0]
+    nearest = min(float(np.sum((cloud.points - end) ** 2, axis=1).min()) for end in mirrored)
+    return nearest >= flight.radius**2
+
+
+def _place(corner: np.ndarray) -> str:
+    return f"({', '.join(f'{value:.7g}' for value in corner)})"

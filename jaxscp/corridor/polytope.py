@@ -1,0 +1,58 @@
+"""One convex polytope, and the overlap of two."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
+
+from jaxscp.core.arrays import namespace
+
+
+class Polytope(eqx.Module):
+    """One convex polytope {p : normals p <= offsets}."""
+
+    normals: Float[Array, "faces 3"]
+    """Outward unit normals, (faces, 3)."""
+    offsets: Float[Array, "faces"]
+    """Signed distances of the faces from the origin in metres, (faces,)."""
+
+
+def box(lower: ArrayLike, upper: ArrayLike) -> Polytope:
+    """Axis-aligned box between two opposite corners in metres.
+
+    Args:
+        lower: (3,) the corner with the least coordinates.
+        upper: (3,) the corner with the greatest coordinates.
+
+    Raises:
+        ValueError: the corners are swapped along an axis.
+
+    Example:
+        >>> import jaxscp
+        >>> jaxscp.corridor.box([0.0, 0.0, 0.0], [1.0, 2.0, 3.0]).offsets.tolist()
+        [1.0, 2.0, 3.0, -0.0, -0.0, -0.0]
+    """
+    xp = namespace(lower, upper)
+    if xp is np:
+        for axis, low, high in zip("xyz", np.asarray(lower, float), np.asarray(upper, float), strict=True):
+            if low > high:
+                raise ValueError(
+                    f"box: lower {axis} {low:g} m exceeds upper {axis} {high:g} m; are they swapped?"
+                )
+    offsets = xp.concatenate([xp.asarray(upper, float), -xp.asarray(lower, float)])
+    return Polytope(jnp.asarray(np.concatenate([np.eye(3), -np.eye(3)])), jnp.asarray(offsets))
+
+
+def intersect(first: Polytope, second: Polytope) -> Polytope:
+    """The overlap of two polytopes: all rows of both.
+
+    Example:
+        >>> import jaxscp
+        >>> room = jaxscp.corridor.box([0.0, 0.0, 0.0], [4.0, 2.0, 3.0])
+        >>> intersect(room, room).offsets.size
+        12
+    """
+    return Polytope(
+        jnp.concatenate([first.normals, second.normals]), jnp.concatenate([first.offsets, second.offsets])
+    )

@@ -1,0 +1,73 @@
+"""Sparse surfaces are closed for a vehicle that would pass between their points; doors and dense maps are not."""
+
+import numpy as np
+import pytest
+from scipy.spatial import KDTree
+
+from jaxscp.corridor import PointCloud, synthetic_maps
+from jaxscp.corridor.gaps import with_closed_gaps
+from jaxscp.corridor.spacing import typical_spacing
+
+from .conftest import hall_points
+
+RADIUS = 0.25
+
+
+def largest_hole(cloud):
+    """Distance from the wall of the hall to the nearest point, at worst."""
+    rng = np.random.default_rng(1)
+    wall = np.column_stack([np.full(2000, 2.9), rng.uniform(-2.8, 1.4, 2000), rng.uniform(0.2, 2.8, 2000)])
+    return KDTree(cloud.points).query(wall)[0].max()
+
+
+@pytest.mark.parametrize(
+    "points", [hall_points(0.7), hall_points(0.55), hall_points(0.2)[::3], hall_points(0.2)[::7]]
+)
+def test_a_ball_does_not_pass_a_sparse_wall(points):
+    cloud = PointCloud.of(points)
+    assert largest_hole(cloud) > RADIUS
+    closed, longest = with_closed_gaps(cloud, RADIUS)
+    assert longest > 2 * RADIUS
+    assert largest_hole(closed) < RADIUS
+
+
+def test_rows_of_a_scanner_are_closed():
+    y, z = np.meshgrid(np.arange(0, 6, 0.1), np.arange(0, 4, 0.8))
+    rows = PointCloud.of(np.stack([0 * y.ravel(), y.ravel(), z.ravel()], axis=1))
+    closed, longest = with_closed_gaps(rows, RADIUS)
+    assert longest == pytest.approx(0.8, abs=0.1)
+    middle = np.column_stack([np.zeros(50), np.linspace(0.5, 5.5, 50), np.full(50, 1.2)])
+    assert KDTree(closed.points).query(middle)[0].max() < RADIUS
+
+
+@pytest.mark.parametrize("spacing", [0.2, 0.6])
+def test_the_true_gap_stays_open(spacing):
+    closed, _ = with_closed_gaps(PointCloud.of(hall_points(spacing)), RADIUS)
+    assert KDTree(closed.points).query([3.0, 2.3, 1.5])[0] > RADIUS + 0.1
+
+
+@pytest.mark.parametrize("kind", synthetic_maps.KINDS)
+def test_dense_maps_are_left_as_they_are(kind):
+    cloud = synthetic_maps.KINDS[kind](0).cloud.thinned(0.1)
+    closed, longest = with_closed_gaps(cloud, RADIUS)
+    assert closed is cloud
+    assert longest == 0.0
+
+
+def test_points_anywhere_in_a_volume_are_no_surface():
+    cloud = PointCloud.of(np.random.default_rng(0).uniform(0, 10, size=(2000, 3)))
+    assert with_closed_gaps(cloud, RADIUS)[0] is cloud
+
+
+def test_few_points_are_left_as_they_are():
+    cloud = PointCloud.of([[0, 0, 0], [1, 0, 0], [2, 0, 0]])
+    assert with_closed_gaps(cloud, RADIUS)[0] is cloud
+
+
+@pytest.mark.parametrize("count", [400, 200_000])
+def test_the_spacing_is_that_of_the_grid_copies_left_out(count):
+    edge = int(np.sqrt(count))
+    grid = 0.3 * np.stack(
+        [*np.meshgrid(np.arange(edge), np.arange(edge)), np.zeros((edge, edge))], -1
+    ).reshape(-1, 3)
+    assert typical_spacing(np.concatenate([grid, grid])) == pytest.approx(0.3)
