@@ -126,6 +126,7 @@ def corrected(
         return z.at[:, -1].set(dilation), None
 
     better, _ = jax.lax.scan(one_round, candidate, None, length=rounds)
+
     def total(z):
         defect = evaluate(problem, z, grid).end - z[1:, :n]
         return jnp.sum(jnp.linalg.norm(defect, axis=1)) + sum(map(jnp.linalg.norm, ends(z)))
