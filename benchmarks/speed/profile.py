@@ -31,12 +31,12 @@ from jaxscp.nlp.newton_system import (
     scalings,
     second_order_model,
 )
-from jaxscp.problem.problem import terminal_cost, typical_sizes
+from jaxscp.problem.problem import typical_sizes
 from jaxscp.scp.active_set import active_set, slacks
 from jaxscp.scp.hessian_convexification import LinearDynamics, convexified_along_horizon, projected
 from jaxscp.scp.interval_subproblem import interval_program
 from jaxscp.scp.nodal_subproblem import nodal_subproblem
-from jaxscp.scp.second_order_correction import corrected, correction
+from jaxscp.scp.second_order_correction import Target, corrected, correction
 from jaxscp.solver.solution import Solution
 from jaxscp.transcription.discretise import discretise
 from jaxscp.transcription.lagrangian import residual
@@ -205,7 +205,7 @@ def _default_pieces(pieces: Pieces, method: NewtonSCP, problem: Any, z: Any, sol
     scale = stage_sizes(problem, typical_sizes(z))
     hessian, n = curvature * scale * scale[:, None], problem.state_size
     convex = pieces.time("Hessian: project", count, projected, hessian)
-    defect = residual(linear.outputs, terminal_cost(problem, z), z).defect
+    defect = residual(problem, z, linear.outputs).defect
     dynamics = LinearDynamics(linear.jacobian.end * scale / scale[:n, None], defect / scale[:n])
     times = _times_along_horizon(method, problem, z, count)
     final = jnp.eye(problem.variables)
@@ -241,13 +241,14 @@ def _line_search(pieces: Pieces, method: NewtonSCP, problem, z, linear, y, metri
     active = active_set(problem, linear, y, stage_sizes(problem, sizes))
     args = (problem, linear, active, metric, sizes)
     by = pieces.time("correction: factor", count, correction, *args)
-    target_slack = slacks(problem, linear.outputs)
+    now = residual(problem, z, linear.outputs)
+    target = Target(slacks(problem, linear.outputs), now.initial, now.final)
     rounds = method.correction_rounds
 
-    def correct(problem, z, by, target_slack):
-        return corrected(problem, z, by, grid, rounds, target_slack)
+    def correct(problem, z, by, target):
+        return corrected(problem, z, by, grid, rounds, target)
 
-    pieces.time("correction: of a candidate", count, correct, problem, z, by, target_slack)
+    pieces.time("correction: of a candidate", count, correct, problem, z, by, target)
     integrations = (rounds + 2) * count  # one integration each round, and the test of its gain
     pieces.time("integrations", integrations, lambda p, z: evaluate(p, z, grid), problem, z, inside=True)
 

@@ -27,7 +27,7 @@ def check_convergence(
     """
     now = new.residual
     defects = jnp.linalg.norm(now.defect, axis=1)
-    residuals = jnp.stack([jnp.sum(defects), worst_violation(problem, now)]) / settings.tolerance_defect
+    residuals = jnp.stack([now.dynamics, worst_violation(problem, now)]) / settings.tolerance_defect
     dynamics_feasible, constraints_feasible = residuals <= 1.0
     decrease = jnp.abs(qp.decrease) / (settings.tolerance * jnp.maximum(1.0, jnp.abs(now.cost)))
     gradient = lagrangian_gradient(problem, new.z, new.linear, new.multipliers)

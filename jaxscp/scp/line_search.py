@@ -11,10 +11,10 @@ from jaxtyping import Array, Float
 
 from jaxscp.core import batching
 from jaxscp.core.types import Count, Flag, Scalar
-from jaxscp.problem.problem import OptimalControlProblem, terminal_cost
+from jaxscp.problem.problem import OptimalControlProblem
 from jaxscp.scp.active_set import active_set, slacks
 from jaxscp.scp.convex_model import ConvexModel
-from jaxscp.scp.second_order_correction import Correction, corrected, correction
+from jaxscp.scp.second_order_correction import Correction, Target, corrected, correction
 from jaxscp.scp.state import NewtonSettings, NewtonState
 from jaxscp.scp.subproblem import SubproblemSolution
 from jaxscp.transcription.lagrangian import Merit, Residual, residual
@@ -32,8 +32,8 @@ class Search(eqx.Module):
     """The reference."""
     step: Float[Array, "nodes variables"]
     """The whole step."""
-    slack: Float[Array, "intervals conditions"]
-    """Slacks of the reference."""
+    reference: Target
+    """Slacks and end residuals of the reference."""
     correction: Correction
     merit: Merit
     sufficient: Scalar
@@ -81,12 +81,13 @@ def line_search(
     qp: SubproblemSolution,
 ) -> LineSearch:
     """Try fractions of the subproblem's step, from the longest to the shortest, against the merit history."""
+    now = state.residual
     active = active_set(problem, state.linear, qp.multipliers, model.scale)
     worst = jnp.max(jax.vmap(qp.merit)(state.merit_history))
     search = Search(
         z=state.z,
         step=qp.step,
-        slack=slacks(problem, state.linear.outputs),
+        reference=Target(slacks(problem, state.linear.outputs), now.initial, now.final),
         correction=correction(problem, state.linear, active, model.metric, state.scale),
         merit=qp.merit,
         # the prediction may be of either sign: the model's Hessian is not the one that predicts
@@ -94,7 +95,7 @@ def line_search(
         grid=settings.grid,
         rounds=settings.correction_rounds,
     )
-    blank = jax.tree.map(jnp.zeros_like, Trial(search.z, state.residual, search.sufficient))
+    blank = jax.tree.map(jnp.zeros_like, Trial(search.z, now, search.sufficient))
     start = LineSearch(blank, blank, jnp.zeros((), int), jnp.zeros((), bool))
     unfinished = lambda s: ~s.sufficient & (s.tried < len(LENGTHS))  # noqa: E731
     return batching.while_loop(unfinished, _try_next, search, start)
@@ -109,7 +110,8 @@ def _try_next(search: Search, s: LineSearch) -> LineSearch:
 def _attempt(search: Search, length: Scalar | float) -> Trial:
     """A fraction of the step, corrected."""
     problem = search.merit.problem
-    z, target_slack = search.z + length * search.step, (1.0 - length) * search.slack
-    z = corrected(problem, z, search.correction, search.grid, search.rounds, target_slack)
-    found = residual(evaluate(problem, z, search.grid), terminal_cost(problem, z), z)
+    target = jax.tree.map(lambda v: (1.0 - length) * v, search.reference)
+    z = search.z + length * search.step
+    z = corrected(problem, z, search.correction, search.grid, search.rounds, target)
+    found = residual(problem, z, evaluate(problem, z, search.grid))
     return Trial(z, found, jnp.nan_to_num(search.merit(found), nan=jnp.inf))

@@ -101,7 +101,7 @@ class NewtonSCP(NewtonSettings):
         check(problem)
         multipliers = no_multipliers(problem, z, self.grid)
         linear, hessian = linearise_with_hessian(problem, z, multipliers, self.grid)
-        now = residual(linear.outputs, terminal_cost(problem, z), z)
+        now = residual(problem, z, linear.outputs)
         count, no = jnp.zeros((), int), jnp.zeros((), bool)
         return NewtonState(
             z=z,
@@ -211,5 +211,5 @@ class NewtonSCP(NewtonSettings):
             return (z, linearise(problem, z, self.grid)), None
 
         (z, linear), _ = jax.lax.scan(one_round, (state.z, state.linear), jnp.array(RESTORATION_PENALTIES))
-        now = residual(linear.outputs, terminal_cost(problem, z), z)
+        now = residual(problem, z, linear.outputs)
         return eqx.tree_at(lambda s: (s.z, s.linear, s.cost), state, (z, linear, now.cost))

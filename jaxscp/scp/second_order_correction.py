@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from jaxscp.core.types import Scalar
 from jaxscp.linalg import riccati
-from jaxscp.problem.problem import OptimalControlProblem, end_condition
+from jaxscp.problem.problem import OptimalControlProblem, end_condition, start_condition
 from jaxscp.scp.active_set import ActiveSet, slacks
 from jaxscp.transcription.layout import sum_onto_nodes
 from jaxscp.transcription.shooting import Grid, Linearisation, evaluate
@@ -33,6 +33,17 @@ class Correction(eqx.Module):
     """On leaving them."""
     scale: Float[Array, "variables"]
     """Typical sizes."""
+
+
+class Target(eqx.Module):
+    """Values that a correction aims at."""
+
+    slack: Float[Array, "intervals conditions"]
+    """Of the active constraints."""
+    initial: Float[Array, "initial"]
+    """Residual of the conditions at the start."""
+    final: Float[Array, "final"]
+    """Residual of the conditions at the end."""
 
 
 def correction(
@@ -76,7 +87,7 @@ def corrected(
     by: Correction,
     grid: Grid,
     rounds: int,
-    target_slack: Float[Array, "intervals conditions"] | None = None,
+    target: Target | None = None,
 ) -> Float[Array, "nodes variables"]:
     """The candidate, corrected towards the dynamics.
 
@@ -86,33 +97,38 @@ def corrected(
         by: factorisation at the reference.
         grid: of the integration.
         rounds: of the chord method.
-        target_slack: slack of the active constraints after the correction; by default their own, if positive.
+        target: slacks and end residuals after the correction; by default zero ends, and the constraints' own slack, if
+            positive.
 
     Returns:
-        The corrected candidate; or the candidate itself, if its defect is not halved.
+        The corrected candidate; or the candidate itself, if its residual is not halved.
     """
     n = problem.state_size
+
+    def ends(z):
+        initial, final = start_condition(problem, z[0, :n]), end_condition(problem, z[-1, :n])
+        return (initial, final) if target is None else (initial - target.initial, final - target.final)
 
     def one_round(z, _):
         out = evaluate(problem, z, grid)
         slack = slacks(problem, out)
-        slack = jnp.minimum(slack, 0.0) if target_slack is None else slack - target_slack
+        slack = jnp.minimum(slack, 0.0) if target is None else slack - target.slack
+        initial, final = ends(z)
         right = riccati.KKTVector(
             # No term for the dilation: its limits are linear, so that the candidate satisfies them.
             nodes=-by.penalty * sum_onto_nodes(problem, by.active.penalty_gradient(slack)),
             flow=(z[1:, :n] - out.end) / by.scale[:n],
-            initial=jnp.zeros(by.factor.problem.initial.shape[0], z.dtype),
-            final=-end_condition(problem, z[-1, :n]),
+            initial=-initial,
+            final=-final,
         )
         z += by.scale * riccati.solve(by.factor, right).nodes
         dilation = jnp.clip(z[:, -1], problem.dilation_min, problem.dilation_max)
         return z.at[:, -1].set(dilation), None
 
     better, _ = jax.lax.scan(one_round, candidate, None, length=rounds)
-    before, after = (_total_defect(problem, z, grid) for z in (candidate, better))
-    return jnp.where(after < 0.5 * before, better, candidate)
 
+    def total(z):
+        defect = evaluate(problem, z, grid).end - z[1:, :n]
+        return jnp.sum(jnp.linalg.norm(defect, axis=1)) + sum(map(jnp.linalg.norm, ends(z)))
 
-def _total_defect(problem: OptimalControlProblem, z: Float[Array, "nodes variables"], grid: Grid) -> Scalar:
-    states = problem.state_size
-    return jnp.sum(jnp.linalg.norm(evaluate(problem, z, grid).end - z[1:, :states], axis=1))
+    return jnp.where(total(better) < 0.5 * total(candidate), better, candidate)

@@ -92,7 +92,8 @@ def _predicted_residual(
         jnp.broadcast_to(jnp.zeros(()) if c.convex else buffer, v.shape)
         for c, v in zip(problem.constraints, now.values, strict=True)
     )
-    return Residual(cost, virtual_control, values)
+    ends = jnp.zeros_like(now.initial), jnp.zeros_like(now.final)
+    return Residual(cost, virtual_control, values, *ends)
 
 
 def no_conic_multipliers(problem: OptimalControlProblem, z: Float[Array, "nodes variables"], linear):

@@ -55,12 +55,30 @@ class Residual(eqx.Module):
     """F(w_i) - x_{i+1}."""
     values: tuple[Float[Array, "intervals _ _"], ...]
     """Of the constraints, as in ``Outputs``."""
+    initial: Float[Array, "initial"]
+    """Of the conditions at the start."""
+    final: Float[Array, "final"]
+    """Of the conditions at the end."""
+
+    @property
+    def dynamics(self) -> Scalar:
+        """Sum of the norms of the defects and of both ends' residuals."""
+        defects = jnp.sum(jnp.linalg.norm(self.defect, axis=1))
+        return defects + jnp.linalg.norm(self.initial) + jnp.linalg.norm(self.final)
 
 
-def residual(outputs: Outputs, terminal: Scalar, z: Float[Array, "nodes variables"]) -> Residual:
-    """Residual of a point, from the outputs of its intervals and its terminal cost."""
-    defect = outputs.end - z[1:, : outputs.end.shape[1]]
-    return Residual(jnp.sum(outputs.cost) + terminal, defect, outputs.values)
+def residual(
+    problem: OptimalControlProblem, z: Float[Array, "nodes variables"], outputs: Outputs
+) -> Residual:
+    """Residual of a point with the given outputs of its intervals."""
+    n = problem.state_size
+    return Residual(
+        cost=jnp.sum(outputs.cost) + terminal_cost(problem, z),
+        defect=outputs.end - z[1:, :n],
+        values=outputs.values,
+        initial=start_condition(problem, z[0, :n]),
+        final=end_condition(problem, z[-1, :n]),
+    )
 
 
 class Merit(eqx.Module):
@@ -82,6 +100,8 @@ class Merit(eqx.Module):
         """Merit of a point."""
         y, weight = self.multipliers, self.weight
         total = r.cost + jnp.vdot(y.flow, r.defect) + 0.5 * weight * jnp.sum((r.defect / self.scale) ** 2)
+        for multiplier, end in ((y.initial, r.initial), (y.final, r.final)):
+            total += jnp.vdot(multiplier, end) + 0.5 * weight * jnp.sum(end**2)
         for constraint, values, multiplier in zip(
             self.problem.constraints, r.values, y.by_interval(), strict=True
         ):

@@ -1,5 +1,7 @@
 """The augmented Lagrangian, the merit function of steps, and its projections."""
 
+import dataclasses
+
 import jax.numpy as jnp
 import numpy as np
 from hypothesis import given, settings
@@ -33,7 +35,7 @@ def test_merit_of_a_feasible_point_is_its_cost():
         jnp.ones_like(v) * jnp.array([3.0, 1.0, 1.0])[: v.shape[-1]] if v.shape[-1] == 3 else jnp.ones_like(v)
         for v in out.values
     )
-    point = Residual(jnp.asarray(7.0), jnp.zeros_like(out.end), inside)
+    point = Residual(jnp.asarray(7.0), jnp.zeros_like(out.end), inside, jnp.zeros(13), jnp.zeros(12))
     merit = Merit(problem, no_multipliers(problem, z, Grid()), 10.0, jnp.ones(13))
     np.testing.assert_allclose(merit(point), 7.0)
 
@@ -42,10 +44,10 @@ def test_merit_grows_with_every_residual():
     problem = short_problem()
     z = random_nodes(problem, 0)
     out = evaluate(problem, z, Grid())
-    point, y = residual(out, jnp.zeros(()), z), no_multipliers(problem, z, Grid())
+    point, y = residual(problem, z, out), no_multipliers(problem, z, Grid())
     merit = Merit(problem, y, 10.0, jnp.ones(13))
     base = merit(point)
-    worse = Residual(point.cost, 2.0 * point.defect, point.values)
-    outside = Residual(point.cost, point.defect, tuple(v - 5.0 for v in point.values))
+    worse = dataclasses.replace(point, defect=2.0 * point.defect)
+    outside = dataclasses.replace(point, values=tuple(v - 5.0 for v in point.values))
     assert float(merit(worse)) > float(base)
     assert float(merit(outside)) > float(base)

@@ -1,0 +1,85 @@
+"""Re-plans: from the solution of a similar scenario, whose ends lie off the new boundary."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxscp
+from jaxscp.corridor import box, connect
+
+SAME_COST = 5e-3  # relative; another start may lead to another local optimum of nearly the same cost
+PLANNER = jaxscp.Planner()
+
+
+def room(start=(0.0, 0.0, 1.0), goal=(6.0, 1.0, 1.0), yaw=0.0):
+    """An empty room of 12 x 10 x 5 m."""
+    corridor = connect([box([-1.0, -5.0, 0.0], [11.0, 5.0, 5.0])], joints=[])
+    return jaxscp.scenarios.through(corridor, jaxscp.at_rest(start), jaxscp.at_rest(goal, yaw))
+
+
+CHANGES = {
+    "start back by 1 mm": room(start=(-0.001, 0.0, 1.0)),
+    "start forward by 1 mm": room(start=(0.001, 0.0, 1.0)),
+    "goal back by 1 mm": room(goal=(6.001, 1.0, 1.0)),
+    "goal away by 1 m": room(goal=(6.7, 1.7, 1.2)),
+    "start away by 1 m": room(start=(-0.9, 0.5, 1.0)),
+    "heading by -0.2 degrees": room(yaw=-0.003),
+    "heading by 90 degrees": room(yaw=np.pi / 2),
+    "heading by almost a turn": room(yaw=6.2802),
+}
+
+
+@pytest.fixture(scope="module")
+def plan():
+    return PLANNER(room())
+
+
+def assert_replans(plan, scenario):
+    fresh, again = PLANNER(scenario), PLANNER.replan(plan, scenario)
+    assert jaxscp.status_names(fresh.status) == "converged"
+    assert jaxscp.status_names(again.status) == "converged"
+    np.testing.assert_allclose(float(again.cost), float(fresh.cost), rtol=SAME_COST)
+
+
+@pytest.mark.parametrize("scenario", CHANGES.values(), ids=CHANGES)
+def test_a_plan_off_its_ends_returns_to_them(plan, scenario):
+    assert_replans(plan, scenario)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", ["platform_to_platform", "ascent_to_platform"])
+def test_random_ends_replan(case):
+    """Either end moved by 1 mm to 0.3 m, and turned by 0.1 to 180 degrees, wherever a fresh plan converges."""
+    base = getattr(jaxscp.scenarios, case)()
+    plan, random, tried = PLANNER(base), np.random.default_rng(7), 0
+    for _ in range(30):
+        which = random.choice(["start", "goal"])
+        move = random.normal(size=3)
+        move *= 10 ** random.uniform(-3.0, np.log10(0.3)) / np.linalg.norm(move)
+        yaw = np.radians(10 ** random.uniform(-1.0, np.log10(180.0)))
+        end = jaxscp.at_rest(np.asarray(getattr(base, which).position) + move, yaw)
+        scenario = eqx.tree_at(lambda s, which=which: getattr(s, which), base, end)
+        try:
+            fresh = PLANNER(scenario)
+        except jaxscp.InvalidScenario:  # moved out of the corridor
+            continue
+        if jaxscp.status_names(fresh.status) == "converged":
+            tried += 1
+            assert jaxscp.status_names(PLANNER.replan(plan, scenario).status) == "converged"
+    assert tried >= 15
+
+
+def test_residuals_of_the_ends_count():
+    """A trajectory whose dynamics hold, but whose start does not, is neither feasible nor free of merit."""
+    from jaxscp.transcription.lagrangian import Merit, no_multipliers, residual
+    from jaxscp.transcription.shooting import Grid, evaluate
+    from tests.support.flights import random_nodes, short_problem
+
+    problem = short_problem()
+    z = random_nodes(problem, 0)
+    found = residual(problem, z, evaluate(problem, z, Grid()))
+    closed = eqx.tree_at(lambda r: (r.initial, r.final), found, (0.0 * found.initial, 0.0 * found.final))
+    merit = Merit(problem, no_multipliers(problem, z, Grid()), 10.0, jnp.ones(13))
+    assert float(found.dynamics) > float(closed.dynamics)
+    assert float(merit(found)) > float(merit(closed))
