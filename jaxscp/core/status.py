@@ -51,8 +51,9 @@ class Status(eqx.Enumeration):
         "one."
     )
     dynamics_unmet = (
-        "No flight was found that obeys the dynamics: virtual control remains. Likely causes: the final time or "
-        "thrust limits make the task impossible, or the corridor forces too sharp a turn. Another guess may help."
+        "No flight was found that obeys the dynamics and meets both ends: virtual control or an end residual remains. "
+        "Likely causes: the final time or thrust limits make the task impossible, or the corridor forces too sharp a "
+        "turn. Another guess may help."
     )
     constraints_unmet = (
         "No flight was found that keeps a constraint that is not convex: virtual buffer remains. Likely causes: "

@@ -1,4 +1,4 @@
-"""Second-order correction: reduce the defects of a step, which are of second order, by linear algebra alone.
+"""Second-order correction: bring a step back onto the dynamics and both ends, by linear algebra alone.
 
 Rounds of a chord method: the residuals are the candidate's, the Jacobians the reference's. Each round takes the least
 correction in a metric, with a penalty on leaving the active constraints. All rounds share one factorisation.
@@ -89,7 +89,7 @@ def corrected(
     rounds: int,
     target: Target | None = None,
 ) -> Float[Array, "nodes variables"]:
-    """The candidate, corrected towards the dynamics.
+    """The candidate, corrected towards the dynamics and both ends.
 
     Args:
         problem: gives dynamics and constraints.
@@ -104,26 +104,25 @@ def corrected(
         The corrected candidate; or the candidate itself, if its residual is not halved.
     """
     n = problem.state_size
+    initial, final = (0.0, 0.0) if target is None else (target.initial, target.final)
 
     def ends(z):
-        initial, final = start_condition(problem, z[0, :n]), end_condition(problem, z[-1, :n])
-        return (initial, final) if target is None else (initial - target.initial, final - target.final)
+        return start_condition(problem, z[0, :n]) - initial, end_condition(problem, z[-1, :n]) - final
 
     def one_round(z, _):
         out = evaluate(problem, z, grid)
         slack = slacks(problem, out)
         slack = jnp.minimum(slack, 0.0) if target is None else slack - target.slack
-        initial, final = ends(z)
+        from_start, from_end = ends(z)
         right = riccati.KKTVector(
             # No term for the dilation: its limits are linear, so that the candidate satisfies them.
             nodes=-by.penalty * sum_onto_nodes(problem, by.active.penalty_gradient(slack)),
             flow=(z[1:, :n] - out.end) / by.scale[:n],
-            initial=-initial,
-            final=-final,
+            initial=-from_start,
+            final=-from_end,
         )
         z += by.scale * riccati.solve(by.factor, right).nodes
-        dilation = jnp.clip(z[:, -1], problem.dilation_min, problem.dilation_max)
-        return z.at[:, -1].set(dilation), None
+        return z.at[:, -1].set(jnp.clip(z[:, -1], problem.dilation_min, problem.dilation_max)), None
 
     better, _ = jax.lax.scan(one_round, candidate, None, length=rounds)
 
