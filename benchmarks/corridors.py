@@ -41,7 +41,7 @@ from jaxscp.corridor.build import legs
 from jaxscp.corridor.cells import cells_along, consecutive_overlaps
 from jaxscp.corridor.decompose import Seed
 from jaxscp.corridor.ellipsoids import Columns, around_segment
-from jaxscp.corridor.halfspaces import Cuts, cut_away
+from jaxscp.corridor.halfspaces import Cuts, Keep, cut_away
 from jaxscp.corridor.shapes import needed_faces, volume
 from jaxscp.landing.scenarios import through
 
@@ -66,7 +66,13 @@ class TangentShrinking(EllipsoidDecomposition):
         """See ``Decomposition.separate``."""
         metric = around_segment(points, active, jnp.maximum(seed.half, 1e-3))
         return cut_away(
-            points, active, metric, seed.half, radius, clearance, self.planes, lambda tangent, *_: tangent
+            points,
+            active,
+            metric,
+            seed.half,
+            Keep(radius, clearance),
+            self.planes,
+            lambda tangent, *_: tangent,
         )
 
 

@@ -16,8 +16,9 @@ from jaxscp.landing.allocation import allocate
 from jaxscp.landing.guess import Units, guess_program, guess_time, initial_guess
 from jaxscp.landing.problem import landing_problem
 from jaxscp.landing.scenario import LandingScenario
+from jaxscp.problem.form import Paper
 from jaxscp.problem.problem import OptimalControlProblem
-from jaxscp.scp.nodal_subproblem import convexify
+from jaxscp.scp.nodal_subproblem import nodal_subproblem
 
 NODES = 30
 MISSIONS = {"platform": scenarios.platform_to_platform, "ascend": scenarios.ascent_to_platform}
@@ -71,7 +72,7 @@ def _varied(scenario: LandingScenario, random: np.random.Generator) -> LandingSc
 def _prepared(scenario: LandingScenario):
     """(problem, conic program of the guess, guess)."""
     allocation = allocate(scenario.corridor, scenario.start.position, scenario.goal.position, NODES)
-    problem = landing_problem(scenario, allocation, published=True)
+    problem = landing_problem(scenario, allocation, Paper())
     guess = initial_guess(scenario, allocation)
     z = problem.join(guess.states, guess.controls, guess.dilation)
     units = Units.of(scenario, allocation, guess_time(scenario, allocation))
@@ -85,7 +86,7 @@ def _steps(mode: str):
 
     @jax.jit
     def linearise(problem, state):
-        return convexify(problem, state.z, state.flow, method.trust_region, method.virtual_weight)[0]
+        return nodal_subproblem(problem, state.z, state.flow, method.trust_region, method.virtual_weight)[0]
 
     @jax.jit
     def advance(problem, state, solution):

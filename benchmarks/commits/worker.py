@@ -35,7 +35,8 @@ def method(mode: str) -> Any:
     """Settings of a mode."""
     if mode == "default":
         return jaxscp.NewtonSCP()
-    return (getattr(jaxscp, "PTR", None) or jaxscp.SCP)()
+    name = "PTR" if hasattr(jaxscp, "PTR") else "SCP"
+    return getattr(jaxscp, name)()
 
 
 def with_mass(scenario: Any, mass: Any) -> Any:

@@ -15,7 +15,7 @@ from benchmarks.speed.batches import REPEATS, instances
 from benchmarks.speed.timing import elapsed
 from jaxscp import PTR, Planner
 from jaxscp.conic.program import WarmStart
-from jaxscp.scp.nodal_subproblem import convexify
+from jaxscp.scp.nodal_subproblem import nodal_subproblem
 
 PLANS = 64  # distinct ones; a larger batch repeats them
 SUBPROBLEMS = 5  # of a plan
@@ -45,11 +45,13 @@ def recorded(method: PTR, nodes: int, plans: int) -> list[Any]:
     planner = Planner(nodes=nodes, method=method)
 
     def arguments(problem, state):
-        program, _ = convexify(problem, state.z, state.flow, method.trust_region, method.virtual_weight)
+        program, _ = nodal_subproblem(
+            problem, state.z, state.flow, method.trust_region, method.virtual_weight
+        )
         return (
             program,
-            jnp.maximum(method.conic.tolerance, method.accuracy(state)),
-            WarmStart(state.z, state.prices),
+            jnp.maximum(method.conic.tolerance, method.forcing_term(state)),
+            WarmStart(state.z, state.multipliers),
         )
 
     with jax.default_device(jax.devices("cpu")[0]):

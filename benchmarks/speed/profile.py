@@ -19,7 +19,7 @@ from benchmarks.speed.arithmetic import flops, flops_of_loop
 from benchmarks.speed.timing import Ceiling, Loop, ceiling, least_seconds
 from jaxscp import PTR, LandingScenario, NewtonSCP, Planner
 from jaxscp.cones import product
-from jaxscp.conic import kkt, native
+from jaxscp.conic import conic_form, kkt, native
 from jaxscp.conic.equilibrate import equilibrate
 from jaxscp.landing.scenarios import platform_to_platform
 from jaxscp.landing.validation import validate
@@ -170,7 +170,7 @@ def _conic_pieces(pieces: Pieces, conic: Any, program: Any, count: int, steps: i
     scaled_program, _ = pieces.time(
         "equilibrate", count, lambda p: equilibrate(p, conic.equilibration), program, inside=True
     )
-    unit = product.identity(kkt.right_side(scaled_program))
+    unit = product.identity(conic_form.constraint_offset(scaled_program))
     scaling = product.scaling(unit, unit)
 
     def factorise(program, scaling):
@@ -184,7 +184,7 @@ def _conic_pieces(pieces: Pieces, conic: Any, program: Any, count: int, steps: i
 
     inside = functools.partial(pieces.time, inside=True)
     factor = inside("factor", steps, factorise, scaled_program, scaling)
-    right = (kkt.linear_cost(scaled_program), kkt.right_side(scaled_program))
+    right = (conic_form.linear_cost(scaled_program), conic_form.constraint_offset(scaled_program))
     two = jax.tree.map(lambda v: jnp.stack([v, 2.0 * v]), right)
     inside("back-solve of predictor, two sides", steps, solve_both, scaled_program, scaling, factor, *two)
     inside("back-solve of corrector", steps, solve, scaled_program, scaling, factor, *right)
