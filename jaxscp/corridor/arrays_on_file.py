@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxscp.corridor.columns import chosen_columns, named_columns
-from jaxscp.corridor.file_content import CloudFileError, FileContent, Request
+from jaxscp.corridor.file_content import CloudFileError, FileContent, Request, check_count
 from jaxscp.corridor.occupancy import FloorPlan, Voxels, floor_plan_points, voxel_points
 
 _SAMPLE = 2000
@@ -44,6 +44,7 @@ def read_npy(path: Path, request: Request) -> FileContent:
             f"{path}: expected numbers of shape (points, 3), got {array.dtype} {array.shape}"
         )
     table = array.reshape(-1, array.shape[-1])
+    check_count(path, len(table))
     columns, notes = chosen_columns(str(path), np.asarray(table[:_SAMPLE], float), request.layout)
     return FileContent(np.array(table[:, columns]), notes=notes)
 

@@ -190,7 +190,7 @@ class InflationFIRI(Decomposition):
 
     Rounds alternate between planes and the largest ellipsoid inside the polytope that they make. Planes are laid
     nearest to an ellipsoid first, and turned only as far as the seed demands. The first ellipsoid is the closed form
-    about the segment. The round with the largest inscribed ellipsoid is kept, so more rounds never lose.
+    about the segment. The round with the largest inscribed ellipsoid is taken, so more rounds never lose.
     """
 
     rounds: int = eqx.field(static=True, default=2)
@@ -218,7 +218,7 @@ class InflationFIRI(Decomposition):
         first = around_segment(points, active, jnp.maximum(seed.half, _SHORTEST))
         best = lay(first)
         ellipsoid, volume = largest(best)
-        # A cell without room about the segment's middle has no ellipsoid: keep to the first.
+        # A cell whose face touches the segment's middle has no ellipsoid: keep to the first.
         ellipsoid = _select(jnp.isfinite(volume), ellipsoid, first)
         for _ in range(self.rounds - 1):
             cuts = lay(ellipsoid)

@@ -1,15 +1,32 @@
 """Arguments and results of the readers of file formats."""
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Num
 
+MOST_POINTS = 20_000_000
+"""Points that a file may have: a plan takes about 130 bytes for each."""
+
 
 class CloudFileError(ValueError):
     """A file that cannot be read as its suffix says; the message names the file, the place and the cause."""
+
+
+def check_count(path: Path, count: int) -> None:
+    """Refuse a file with more points than memory should hold, before they are read where its header has the number.
+
+    Raises:
+        CloudFileError: there are more than 20 million.
+    """
+    if count > MOST_POINTS:
+        raise CloudFileError(
+            f"{path}: {count} points, more than the {MOST_POINTS} that are read; thin them to one in a voxel of "
+            "0.05 m, or cut the map to the flight, with the program that wrote the file"
+        )
 
 
 class FileLayout(eqx.Module):

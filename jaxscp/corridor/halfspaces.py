@@ -43,7 +43,7 @@ def seed_gap(normal: Vector3, point: Vector3, half: ScalarLike) -> Float[Array, 
 
 
 def capsule_normal(point: Vector3, half: ScalarLike) -> Vector3:
-    """Normal of the plane that leaves the segment most room: from its closest point to the obstacle point."""
+    """Normal of the plane that leaves the segment the widest gap: from its closest point to the obstacle point."""
     nearest = jnp.clip(point[0], jnp.negative(half), half)
     return unit(point - jnp.array([1.0, 0.0, 0.0], point.dtype) * nearest)
 

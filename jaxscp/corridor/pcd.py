@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxscp.corridor.file_content import CloudFileError, FileContent, Request
+from jaxscp.corridor.file_content import CloudFileError, FileContent, Request, check_count
 from jaxscp.corridor.tables import Dialect, read_columns
 
 _IDENTITY = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
@@ -31,6 +31,7 @@ def read_pcd(path: Path, request: Request) -> FileContent:
         CloudFileError: the header or the data are wrong; the message has the field or the place.
     """
     header = _header(path, request.library)
+    check_count(path, header.meta.points)
     points = _points(path, header, request.library)
     viewpoint = tuple(float(value) for value in header.meta.viewpoint)
     return FileContent(points, viewpoint=viewpoint if _moves(viewpoint) else None)

@@ -32,7 +32,7 @@ from jaxscp.corridor.arrays_on_file import read_npy
 from jaxscp.corridor.clouds import PointCloud, Provenance
 from jaxscp.corridor.conventions import metres, to_z_up
 from jaxscp.corridor.extent import Triple, corners
-from jaxscp.corridor.file_content import CloudFileError, FileContent, FileLayout, Request
+from jaxscp.corridor.file_content import CloudFileError, FileContent, FileLayout, Request, check_count
 from jaxscp.corridor.meshes import read_mesh
 from jaxscp.corridor.pcd import read_pcd
 from jaxscp.corridor.ply import read_ply
@@ -124,6 +124,7 @@ def _in_metres(
     path: Path, content: FileContent, unit: str | None, frame: str | None, local: Float[np.ndarray, "3"]
 ) -> PointCloud:
     """Cloud of a file's content in metres, z up, relative to a local origin."""
+    check_count(path, len(content.points))
     scale = metres(unit or "m")
     points, absurd, rounding = _usable(path, content, scale)
     points, notes, known = _in_frame(path, points, content, scale, frame)

@@ -1,4 +1,4 @@
-"""Point clouds: what is dropped, thinned and warned of, and what a bad file says."""
+"""Point clouds: dropped points, thinning, warnings, and the messages of bad files."""
 
 import builtins
 

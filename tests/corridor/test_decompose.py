@@ -60,7 +60,7 @@ def test_no_point_is_inside_and_the_capsule_is(name, seed):
     normals, offsets = np.asarray(cell.polytope.normals), np.asarray(cell.polytope.offsets)
     assert np.min(offsets - segment @ normals.T - CLEARANCE * np.linalg.norm(normals, axis=1)) >= -ROUNDING
     beyond = points @ normals.T - offsets
-    # What the slots could not hold is counted, and the rest is at least the radius behind some face.
+    # Points beyond the slots are counted, and the rest is at least the radius behind some face.
     near = np.max(beyond, axis=1, initial=-np.inf) < RADIUS - ROUNDING
     behind_wall = np.max(beyond[:, METHODS[name].planes :], axis=1, initial=-np.inf) > 0
     assert np.sum(near & ~behind_wall) <= int(cell.left)

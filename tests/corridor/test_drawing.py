@@ -1,4 +1,4 @@
-"""The picture holds what it was given, to scale."""
+"""The picture holds every given part, to scale."""
 
 import matplotlib as mpl
 import numpy as np

@@ -212,7 +212,7 @@ def test_unknown_cells_of_an_octomap_are_obstacles(tmp_path, suffix):
     path = tmp_path / f"a.{suffix}"
     (tree.writeBinary if suffix == "bt" else tree.write)(str(path).encode())
     cloud = read_cloud(path)
-    # The cube has one known wall; nobody saw what is beyond its other five sides.
+    # The cube has one known wall; nobody saw the space beyond its other five sides.
     np.testing.assert_allclose(cloud.extent, [[-2.1, -2.1, -2.1], [1.9, 2.1, 2.1]], atol=1e-6)
     assert cloud.spread == pytest.approx(0.1 * np.sqrt(3))
     assert not np.any(np.all(np.abs(cloud.points) < 1.7, axis=1))

@@ -27,7 +27,7 @@ def test_no_polytope_reaches_out_of_the_map_or_near_its_floor(hall):
     result = build_corridor(open_above, START, GOAL, 0.25)
     assert result.found
     corners = np.concatenate(
-        [vertices(Polytope(*c)) for c in zip(result.corridor.normals, result.corridor.offsets, strict=False)]
+        [vertices(Polytope(*c)) for c in zip(result.corridor.normals, result.corridor.offsets, strict=True)]
     )
     assert np.all(corners >= np.array([-1, -3, 0.25]) - 1e-6)
     assert np.all(corners <= np.array([7, 3, 2.8]) + 1e-6)

@@ -234,3 +234,9 @@ def test_an_array_in_millimetres_is_warned_of(hall):
     report = map_report(PointCloud.of(hall * 1000), START, GOAL)
     assert report.accepted
     assert "200 m from each other" in report.warnings[0]
+
+
+def test_more_points_than_memory_should_hold_are_refused_before_they_are_read(tmp_path, monkeypatch, hall):
+    monkeypatch.setattr("jaxscp.corridor.file_content.MOST_POINTS", 1000)
+    with pytest.raises(ValueError, match=rf"{len(hall)} points, more than the 1000 that are read; thin them"):
+        on_file(tmp_path, hall)
