@@ -24,8 +24,8 @@ def check_count(path: Path, count: int) -> None:
     """
     if count > MOST_POINTS:
         raise CloudFileError(
-            f"{path}: {count} points, more than the {MOST_POINTS} that are read; thin them to one in a voxel of "
-            "0.05 m, or cut the map to the flight, with the program that wrote the file"
+            f"{path}: {count} points, more than the {MOST_POINTS} that are read; thin them to one per 0.05 m voxel, "
+            "or cut the map to the flight, with the program that wrote the file"
         )
 
 
