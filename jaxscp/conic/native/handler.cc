@@ -26,7 +26,7 @@ class HelperTimings {
   }
 
  private:
-  static constexpr int kTrialPeriod = 16;      // the slower choice is tried once in so many programs
+  static constexpr int kTrialPeriod = 16;  // the slower choice is tried once in so many programs
   static constexpr double kWeight = 0.25;  // weight of the latest time in the mean
   double alone_ = 0.0, helped_ = 0.0;  // mean seconds per step
   int turn_ = 0;
