@@ -33,9 +33,10 @@ class Difference(NamedTuple):
 
     def passes(self, tolerance: float) -> bool:
         """Whether all is bitwise equal, or floats are equal within a relative tolerance."""
-        return not self.unmatched and all(
-            not leaf.exact and leaf.relative <= tolerance for leaf in self.unequal
-        )
+        if tolerance == 0.0:
+            return not self.unmatched and not self.unequal  # even zeros of other sign differ
+        within = (not leaf.exact and leaf.relative <= tolerance for leaf in self.unequal)
+        return not self.unmatched and all(within)
 
     def report(self) -> str:
         """A line for people."""
@@ -67,7 +68,7 @@ def compare(item: str, old: Path, new: Path, note: str = "") -> Difference:
     unmatched = [] if renamed else sorted(set(a) ^ set(b))
     infinite = sum(not np.all(np.isfinite(leaf)) for leaf in b.values())
     if infinite:
-        note = f"{note}, {infinite} leaves not finite".lstrip(", ")
+        note = f"{note}, not finite: {infinite}".lstrip(", ")
     leaves = [_leaf(name, a[before], b[name]) for before, name in pairs]
     return Difference(item, len(pairs), [leaf for leaf in leaves if leaf is not None], unmatched, note)
 
