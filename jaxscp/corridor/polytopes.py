@@ -131,7 +131,7 @@ def _found_joints(normals: Any, offsets: Any, margin: float) -> Any:
     """Centres of the largest balls in consecutive overlaps; checked where they are known."""
     if len(offsets) == 1:
         return np.empty((0, 3))
-    cells = Polytope(jnp.asarray(normals), jnp.asarray(offsets))
+    cells = jax.vmap(Polytope)(jnp.asarray(normals), jnp.asarray(offsets))
     pairs = jax.vmap(intersect)(
         jax.tree.map(lambda rows: rows[:-1], cells), jax.tree.map(lambda rows: rows[1:], cells)
     )

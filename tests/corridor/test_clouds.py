@@ -69,7 +69,7 @@ def written(tmp_path):
         cloud.save(str(tmp_path / f"{encoding.value}.pcd"), encoding=encoding)
     vertex = np.array([tuple(p) for p in POINTS], dtype=[("x", "f4"), ("y", "f4"), ("z", "f4")])
     for text in (True, False):
-        element = plyfile.PlyElement.spec_of(vertex, "vertex")
+        element = plyfile.PlyElement.describe(vertex, "vertex")
         plyfile.PlyData([element], text=text).write(str(tmp_path / f"{'text' if text else 'binary'}.ply"))
     np.save(tmp_path / "array.npy", POINTS)
     np.savetxt(tmp_path / "table.xyz", POINTS, header="x y z")
