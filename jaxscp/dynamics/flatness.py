@@ -28,7 +28,7 @@ def attitudes(
 
     Example:
         >>> import jax.numpy as jnp, jaxscp
-        >>> from jaxscp import flatness, rotations
+        >>> from jaxscp.dynamics import flatness, rotations
         >>> body = jaxscp.airframes.paper_mav().body
         >>> level = rotations.from_yaw(0.0)[None]
         >>> tilted = flatness.attitudes(body, jnp.array([[9.81, 0.0, 0.0]]), level)[0]
