@@ -38,7 +38,7 @@ def with_options(options: type) -> Callable[[Callable[[Any], None]], Callable[..
 
         command.__name__, command.__doc__ = function.__name__, function.__doc__
         command.__signature__ = inspect.Signature(parameters)  # pyright: ignore[reportFunctionMemberAccess]
-        command.__annotations__ = {name: hints[name] for name in hints}
+        command.__annotations__ = hints
         return command
 
     return decorate

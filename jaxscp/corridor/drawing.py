@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscp.corridor.clouds import PointCloud
-from jaxscp.corridor.polytope import Polytope
 from jaxscp.corridor.polytopes import Corridor
 from jaxscp.corridor.route import Route
 from jaxscp.corridor.shapes import polygons
@@ -86,12 +85,11 @@ def _draw_polytopes(axes: Axes3D, corridor: Corridor) -> np.ndarray:
     import matplotlib as mpl
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-    cells = list(zip(np.asarray(corridor.normals), np.asarray(corridor.offsets), strict=True))
-    fresh = [k for k, cell in enumerate(cells) if k == 0 or not np.array_equal(cell[1], cells[k - 1][1])]
-    tints = mpl.colormaps["viridis"](np.linspace(0.1, 0.9, len(fresh)))
+    cells = corridor.distinct()
+    tints = mpl.colormaps["viridis"](np.linspace(0.1, 0.9, len(cells)))
     corners = []
-    for tint, k in zip(tints, fresh, strict=True):
-        faces = polygons(Polytope(corridor.normals[k], corridor.offsets[k]))
+    for tint, cell in zip(tints, cells, strict=True):
+        faces = polygons(cell)
         axes.add_collection3d(
             Poly3DCollection(faces, facecolors=(*tint[:3], 0.12), edgecolors=(*tint[:3], 0.7), linewidths=0.6)
         )

@@ -149,7 +149,7 @@ def map_report(
         return facts
     corners = [None if corner is None else np.asarray(corner, float) for corner in (lower, upper)]
     flight = Flight(np.asarray(start, float), np.asarray(goal, float), radius, *corners)
-    inside = [bool(np.all((end >= box.lower) & (end <= box.upper))) for end in flight.ends]
+    inside = within(flight.ends, box.lower, box.upper).tolist()
     findings = list(_findings(facts, cloud, flight))
     return replace(
         facts,
@@ -224,17 +224,17 @@ def _place_findings(facts: MapReport, flight: Flight, of_file: bool) -> Iterator
     """Whether start and goal lie in or near the box of the map, and not below it."""
     box = f"the map's box {_place(facts.lower)} to {_place(facts.upper)} m"
     remedy = "State where the local origin lies in the map: offset=(x, y, z), or its unit or frame"
-    beyond = np.maximum(facts.lower - flight.ends, flight.ends - facts.upper)
+    sides = np.stack([facts.lower - flight.ends, flight.ends - facts.upper])
+    beyond = sides.max(axis=0)
     near = max(_NEAR, float((facts.upper - facts.lower).max()))
     ends = f"start {_place(flight.start)} and goal {_place(flight.goal)}"
     if np.any(beyond.max(axis=1) > near):
         far = float(beyond.max())
         yield of_file, f"{ends} do not both lie in or near {box}: {far:.4g} m outside. {remedy}"
         return
-    sides = np.stack([facts.lower - flight.ends, flight.ends - facts.upper])[:, :, :2]
     if (
         of_file
-        and np.any(np.all(sides > _OUTSIDE, axis=1))
+        and np.any(np.all(sides[:, :, :2] > _OUTSIDE, axis=1))
         and (flight.lower is None or flight.upper is None)
     ):
         yield (

@@ -43,14 +43,12 @@ def inside_corridor(corridor: Corridor, cloud: PointCloud, margin: float = 0.0) 
         >>> inside_corridor(room, cloud).tolist(), inside_corridor(room, cloud, margin=0.25).tolist()
         ([True, False, False], [True, True, False])
     """
-    cells = [Polytope(jnp.asarray(n), jnp.asarray(b)) for n, b in _distinct(corridor)]
+    cells = corridor.distinct()
     near = np.flatnonzero(_in_box(cells, cloud, margin))
-    within = np.zeros(len(near), bool)
     candidates = PointCloud(cloud.points[near])
-    for cell in cells:
-        within |= candidates.inside(cell, margin)
     inside = np.zeros(cloud.count, bool)
-    inside[near] = within
+    for cell in cells:
+        inside[near] |= candidates.inside(cell, margin)
     return inside
 
 
@@ -92,18 +90,6 @@ def obstacles_near(
     for region in decks:
         deck[: near.count] |= near.inside(region)
     return Obstacles(jnp.asarray(points), jnp.asarray(np.arange(size) < near.count), jnp.asarray(deck))
-
-
-def _distinct(corridor: Corridor) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Rows of the polytopes; those that padding repeats once."""
-    normals, offsets = np.asarray(corridor.normals), np.asarray(corridor.offsets)
-    fresh = [
-        k
-        for k in range(len(offsets))
-        if k == 0
-        or not (np.array_equal(offsets[k], offsets[k - 1]) and np.array_equal(normals[k], normals[k - 1]))
-    ]
-    return [(normals[k], offsets[k]) for k in fresh]
 
 
 def _in_box(cells: list[Polytope], cloud: PointCloud, margin: float) -> Bool[np.ndarray, "points"]:

@@ -53,6 +53,19 @@ class Corridor(eqx.Module):
         """Distance in metres from a point to the nearest face of each polytope; negative outside it."""
         return jnp.min(self.offsets - self.normals @ point, axis=-1)
 
+    def distinct(self) -> list[Polytope]:
+        """The polytopes, each once and in flight order: padding repeats the last one. Outside of ``jit`` only.
+
+        Example:
+            >>> import jaxscp
+            >>> room = jaxscp.corridor.connect([jaxscp.corridor.box([0, 0, 0], [4, 2, 3])], joints=[])
+            >>> len(jaxscp.corridor.pad(room, [1, 1, 1], polytopes=4).distinct())
+            1
+        """
+        cells = zip(np.asarray(self.normals), np.asarray(self.offsets), strict=True)
+        found = {(normals.tobytes(), offsets.tobytes()): (normals, offsets) for normals, offsets in cells}
+        return [Polytope(*map(jnp.asarray, cell)) for cell in found.values()]
+
     def with_unit_normals(self) -> "Corridor":
         """The same corridor with unit normals, so that offsets and violations are metres.
 

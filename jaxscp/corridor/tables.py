@@ -1,5 +1,6 @@
 """Text tables of points: headers, separators, comments, encodings, and columns by name."""
 
+import codecs
 import re
 import warnings
 from collections.abc import Iterator
@@ -109,17 +110,15 @@ def _encoding(path: Path) -> str:
         head = file.read(1 << 16)
         if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
             return "utf-16"
-        if re.search(rb"[\x00-\x08\x0e-\x1f]", head):
-            place = re.search(rb"[\x00-\x08\x0e-\x1f]", head)
-            raise CloudFileError(
-                f"{path}: byte {place.start() if place else 0} is not text; is it another kind of file?"
-            )
+        control = re.search(rb"[\x00-\x08\x0e-\x1f]", head)
+        if control:
+            raise CloudFileError(f"{path}: byte {control.start()} is not text; is it another kind of file?")
         file.seek(0)
+        decoder = codecs.getincrementaldecoder("utf-8")()
         try:
             for block in iter(lambda: file.read(1 << 22), b""):
-                if not block.isascii():
-                    path.read_text(encoding="utf-8")
-                    break
+                decoder.decode(block)
+            decoder.decode(b"", final=True)
         except UnicodeDecodeError:
             return "latin-1"
     return "utf-8-sig"

@@ -10,7 +10,7 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d import Axes3D, proj3d
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
-from jaxscp.corridor.polytopes import Corridor, Polytope
+from jaxscp.corridor.polytopes import Corridor
 from jaxscp.corridor.shapes import polygons
 from jaxscp.dynamics import rotations
 from jaxscp.landing.mission import BodyState, Ellipsoids
@@ -67,19 +67,12 @@ def _zoom_to_fill(ax: Axes3D, low: Array, high: Array, fraction: float = 0.84) -
 
 def draw_corridor(ax: Axes3D, corridor: Corridor, color: str = BLUE) -> Axes3D:
     """Each polytope as a faint solid with its edges."""
-    for faces in _solids(corridor):
+    for faces in map(polygons, corridor.distinct()):
         edges = [np.vstack([face, face[:1]]) for face in faces]
         ax.add_collection3d(Poly3DCollection(faces, facecolor=color, alpha=0.045, zorder=2))
         ax.add_collection3d(Line3DCollection(edges, colors=color, linewidths=0.7, alpha=0.45, zorder=3))
     ax.plot([], [], [], color=color, linewidth=5, alpha=0.25, label="corridor")
     return ax
-
-
-def _solids(corridor: Corridor) -> list[list[Array]]:
-    """Faces of each polytope; repeated ones, as padding leaves them, only once."""
-    cells = zip(np.asarray(corridor.normals), np.asarray(corridor.offsets), strict=True)
-    distinct = {(normals.tobytes(), offsets.tobytes()): (normals, offsets) for normals, offsets in cells}
-    return [polygons(Polytope(*map(jnp.asarray, cell))) for cell in distinct.values()]
 
 
 def draw_obstacles(ax: Axes3D, points: Array, low: Array, high: Array, most: int = 6000) -> Axes3D:
@@ -148,6 +141,6 @@ def _mark_ends(ax: Axes3D, start: BodyState, goal: BodyState) -> None:
 
 def _bounds(scenario: LandingScenario, nodes: Curves, margin: float = 0.3) -> tuple[Array, Array]:
     """Corners of a box around corridor and nodes."""
-    faces = [face for solid in _solids(scenario.corridor) for face in solid]
+    faces = [face for cell in scenario.corridor.distinct() for face in polygons(cell)]
     points = np.vstack([*faces, nodes.state[:, :3]])
     return points.min(axis=0) - margin, points.max(axis=0) + margin

@@ -148,6 +148,14 @@ def end_condition(
     return problem.final.function(physical, time, problem.final.parameters)
 
 
+def end_residuals(
+    problem: OptimalControlProblem, z: Float[Array, "nodes variables"]
+) -> tuple[Float[Array, "initial"], Float[Array, "final"]]:
+    """Values of the conditions at the start and at the end; zero where they hold."""
+    n = problem.state_size
+    return start_condition(problem, z[0, :n]), end_condition(problem, z[-1, :n])
+
+
 def linearised_ends(
     problem: OptimalControlProblem, z: Float[Array, "nodes variables"]
 ) -> tuple[Condition, Condition]:

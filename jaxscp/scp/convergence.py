@@ -26,7 +26,6 @@ def check_convergence(
     The predicted decrease is the subproblem's own, even after a rejection.
     """
     now = new.residual
-    defects = jnp.linalg.norm(now.defect, axis=1)
     residuals = jnp.stack([now.dynamics, worst_violation(problem, now)]) / settings.tolerance_defect
     dynamics_feasible, constraints_feasible = residuals <= 1.0
     decrease = jnp.abs(qp.decrease) / (settings.tolerance * jnp.maximum(1.0, jnp.abs(now.cost)))
@@ -48,7 +47,7 @@ def check_convergence(
         final_time=node_times(new.z[:, -1])[-1],
         virtual_control=jnp.max(jnp.linalg.norm(qp.virtual_control, axis=1)),
         step_norm=qp.step_norm,
-        defect=jnp.max(defects),
+        defect=jnp.max(jnp.linalg.norm(now.defect, axis=1)),
         conic_iterations=qp.conic.iterations,
     )
     return eqx.tree_at(

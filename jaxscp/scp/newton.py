@@ -49,8 +49,8 @@ class NewtonSCP(NewtonSettings):
 
     Args:
         tolerance: decrease of the cost, relative to it, that the model of a converged iterate may still predict.
-        tolerance_defect: sum of |F(w_i) - x_{i+1}| over the intervals of a converged iterate, and worst violation
-            of a constraint at its points; ``restore_dynamics`` removes the rest.
+        tolerance_defect: for a converged iterate, sum of |F(w_i) - x_{i+1}| over the intervals and of both ends'
+            residuals, and worst violation of a constraint at its points; ``restore_dynamics`` removes the rest.
         tolerance_gradient: KKT residual (``stationarity``) of a converged iterate.
         max_iterations: subproblems allowed.
         initial_forcing: relative accuracy of the first subproblem. Each is solved ten times better than the one before,
@@ -194,7 +194,7 @@ class NewtonSCP(NewtonSettings):
         )
 
     def restore_dynamics(self, problem: OptimalControlProblem, state: NewtonState) -> NewtonState:
-        """Reduce the remaining defects by Newton's method on them, with a penalty on leaving limits.
+        """Reduce the remaining defects and end residuals by Newton's method, with a penalty on leaving limits.
 
         The last round has a lower penalty: with too many conditions near a limit, the dynamics need some slack.
         """

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from jaxscp.core.types import Scalar
 from jaxscp.linalg import riccati
-from jaxscp.problem.problem import OptimalControlProblem, end_condition, start_condition
+from jaxscp.problem.problem import OptimalControlProblem, end_residuals
 from jaxscp.scp.active_set import ActiveSet, slacks
 from jaxscp.transcription.layout import sum_onto_nodes
 from jaxscp.transcription.shooting import Grid, Linearisation, evaluate
@@ -104,22 +104,22 @@ def corrected(
         The corrected candidate; or the candidate itself, if its residual is not halved.
     """
     n = problem.state_size
-    initial, final = (0.0, 0.0) if target is None else (target.initial, target.final)
+    aim = (0.0, 0.0) if target is None else (target.initial, target.final)
 
     def ends(z):
-        return start_condition(problem, z[0, :n]) - initial, end_condition(problem, z[-1, :n]) - final
+        return jax.tree.map(jnp.subtract, end_residuals(problem, z), aim)
 
     def one_round(z, _):
         out = evaluate(problem, z, grid)
         slack = slacks(problem, out)
         slack = jnp.minimum(slack, 0.0) if target is None else slack - target.slack
-        from_start, from_end = ends(z)
+        initial, final = ends(z)
         right = riccati.KKTVector(
             # No term for the dilation: its limits are linear, so that the candidate satisfies them.
             nodes=-by.penalty * sum_onto_nodes(problem, by.active.penalty_gradient(slack)),
             flow=(z[1:, :n] - out.end) / by.scale[:n],
-            initial=-from_start,
-            final=-from_end,
+            initial=-initial,
+            final=-final,
         )
         z += by.scale * riccati.solve(by.factor, right).nodes
         return z.at[:, -1].set(jnp.clip(z[:, -1], problem.dilation_min, problem.dilation_max)), None

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from jaxscp.core.types import Scalar
 from jaxscp.problem.multipliers import Multipliers
-from jaxscp.problem.problem import OptimalControlProblem, end_condition, start_condition, terminal_cost
+from jaxscp.problem.problem import OptimalControlProblem, end_residuals, terminal_cost
 from jaxscp.transcription.inequalities import inequalities
 from jaxscp.transcription.shooting import Grid, Outputs, evaluate
 
@@ -23,9 +23,8 @@ def no_multipliers(
     """Multipliers of zero."""
 
     def like(z):
-        outputs, n = evaluate(problem, z, grid), problem.state_size
-        initial, final = start_condition(problem, z[0, :n]), end_condition(problem, z[-1, :n])
-        return Multipliers(outputs.end, initial, final, inequalities(problem, z, outputs))
+        outputs = evaluate(problem, z, grid)
+        return Multipliers(outputs.end, *end_residuals(problem, z), inequalities(problem, z, outputs))
 
     return jax.tree.map(lambda v: jnp.zeros(v.shape, v.dtype), jax.eval_shape(like, z))
 
@@ -38,11 +37,11 @@ def lagrangian(
     relaxation: float = 0.0,
 ) -> Scalar:
     """L at a point with the given outputs of its intervals; every inequality is moved inwards by ``relaxation``."""
-    n = problem.state_size
+    initial, final = end_residuals(problem, z)
     total = jnp.sum(outputs.cost) + terminal_cost(problem, z)
-    total += jnp.vdot(y.flow, outputs.end - z[1:, :n])
-    total += jnp.vdot(y.initial, start_condition(problem, z[0, :n]))
-    total += jnp.vdot(y.final, end_condition(problem, z[-1, :n]))
+    total += jnp.vdot(y.flow, outputs.end - z[1:, : problem.state_size])
+    total += jnp.vdot(y.initial, initial)
+    total += jnp.vdot(y.final, final)
     return total - sum(map(jnp.vdot, y.values, inequalities(problem, z, outputs, relaxation)), jnp.zeros(()))
 
 
@@ -71,13 +70,13 @@ def residual(
     problem: OptimalControlProblem, z: Float[Array, "nodes variables"], outputs: Outputs
 ) -> Residual:
     """Residual of a point with the given outputs of its intervals."""
-    n = problem.state_size
+    initial, final = end_residuals(problem, z)
     return Residual(
         cost=jnp.sum(outputs.cost) + terminal_cost(problem, z),
-        defect=outputs.end - z[1:, :n],
+        defect=outputs.end - z[1:, : problem.state_size],
         values=outputs.values,
-        initial=start_condition(problem, z[0, :n]),
-        final=end_condition(problem, z[-1, :n]),
+        initial=initial,
+        final=final,
     )
 
 
