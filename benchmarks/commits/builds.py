@@ -4,7 +4,6 @@ import ctypes
 import json
 import os
 import platform
-import shlex
 import shutil
 import subprocess
 import sys
@@ -17,7 +16,6 @@ from typing import Any, NamedTuple
 
 ROOT = Path(__file__).parents[2]
 WORKER = Path(__file__).with_name("worker.py")
-CACHING_COMPILER = Path(__file__).with_name("compiler.py")
 WORKING_TREE = "working tree"
 LEVELS = ("v4", "v3", "any")  # best first; a library's file is stem_level.so
 NO_LIBRARY = "none"  # JAX alone
@@ -84,13 +82,13 @@ class Side(NamedTuple):
 
 
 def build_both(old: str, new: str, scratch: Path, builds: Path | None) -> tuple[Side, Side]:
-    """Both packages. One is built after the other: each takes all cores, and the second finds most objects compiled.
+    """Both packages. One is built after the other: each takes all cores.
 
     Args:
         old: a commit, by any name that git knows.
         new: another, or ``WORKING_TREE``.
         scratch: folder for what is temporary.
-        builds: folder where packages of commits and compiled objects stay for later runs; None for none.
+        builds: folder where packages of commits stay for later runs; None for none.
     """
     names = [name if name == WORKING_TREE else _git("rev-parse", f"{name}^{{commit}}") for name in (old, new)]
     folders = scratch / "old", scratch / "new"
@@ -101,14 +99,12 @@ def build_both(old: str, new: str, scratch: Path, builds: Path | None) -> tuple[
             package if name == WORKING_TREE else stays / name
             for name, package in zip(names, packages, strict=True)
         ]
-    objects = (scratch if builds is None else builds.absolute()) / "objects"
-    objects.mkdir(parents=True, exist_ok=True)
     for name, package, folder in zip(names, packages, folders, strict=True):
         folder.mkdir()
         if not package.exists():
             with tempfile.TemporaryDirectory(dir=folder) as source:
                 _check_out(name, Path(source))
-                _install(Path(source), package, objects)
+                _install(Path(source), package)
     first, second = (Side(*parts) for parts in zip(names, packages, folders, strict=True))
     return first, second
 
@@ -134,29 +130,16 @@ def _check_out(name: str, source: Path) -> None:
             shutil.copy2(ROOT / file, source / file)
 
 
-def _install(source: Path, package: Path, objects: Path) -> None:
+def _install(source: Path, package: Path) -> None:
     """By pip, which compiles the libraries; under another name first, so that no folder is half a package."""
     unfinished = package.with_name(f"{package.name}.unfinished")
     shutil.rmtree(unfinished, ignore_errors=True)
     options = ("--quiet", "--no-deps", "--no-build-isolation", "--disable-pip-version-check")
     command = [sys.executable, "-m", "pip", "install", *options, "--target", str(unfinished), str(source)]
-    variables = os.environ | {"CXX": _compiler(source, objects)}
-    process = subprocess.run(command, env=variables, capture_output=True, text=True)
+    process = subprocess.run(command, capture_output=True, text=True)
     if process.returncode != 0:
         raise RuntimeError(f"pip failed (it needs hatchling in this environment):\n{process.stderr}")
     unfinished.rename(package)
-
-
-def _compiler(source: Path, objects: Path) -> str:
-    """A command that calls the C++ compiler for what is not compiled yet; the compiler is chosen as by the build."""
-    real = shutil.which(os.environ.get("CXX", "")) or shutil.which("c++") or shutil.which("g++")
-    if real is None:
-        return ""
-    script = source.with_suffix(".compiler")
-    words = (sys.executable, "-P", str(CACHING_COMPILER), real, str(objects))
-    script.write_text(f'#!/bin/sh\nexec {shlex.join(words)} "$@"\n')
-    script.chmod(0o700)
-    return str(script)
 
 
 def _runs_here(library: Path) -> bool:
