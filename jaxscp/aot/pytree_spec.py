@@ -5,6 +5,7 @@ its items, an array with its shape and dtype. Classes are named, never stored: `
 """
 
 import dataclasses
+import types
 from collections.abc import Iterable
 from typing import Any
 
@@ -13,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxscp.core.program import Program, of_this_package
 from jaxscp.core.status import Status
 
 Spec = Any
@@ -34,6 +36,12 @@ def spec_of(tree: Any) -> Spec:
     if isinstance(tree, eqx.Module):
         parts = {field.name: spec_of(getattr(tree, field.name)) for field in dataclasses.fields(tree)}
         return {"class": f"{type(tree).__module__}.{type(tree).__qualname__}", "fields": parts}
+    if isinstance(tree, dict):
+        return {"entries": {str(key): spec_of(item) for key, item in tree.items()}}
+    if isinstance(tree, Program):
+        return {"program": tree.digest}
+    if isinstance(tree, types.FunctionType) and of_this_package(tree):
+        return {"function": f"{tree.__module__}.{tree.__qualname__}"}
     if isinstance(tree, tuple):
         return {"items": [spec_of(item) for item in tree]}
     if tree is None or isinstance(tree, str | bool | int | float):
@@ -85,6 +93,8 @@ def difference(expected: Spec, found: Spec, name: str = "") -> str | None:
         pairs = [
             (str(i), *both) for i, both in enumerate(zip(expected["items"], found["items"], strict=True))
         ]
+    elif "entries" in expected and set(expected["entries"]) == set(found.get("entries", ())):
+        pairs = [(key, part, found["entries"][key]) for key, part in expected["entries"].items()]
     else:
         return f"{name}: {_words(expected)} expected, got {_words(found)}"
     below = (difference(one, other, f"{name}.{part}".lstrip(".")) for part, one, other in pairs)
@@ -96,4 +106,8 @@ def _words(part: Spec) -> str:
         return f"{part['dtype']} of shape {tuple(part['shape'])}"
     if "class" in part:
         return part["class"].rpartition(".")[2]
+    if "entries" in part:
+        return f"entries {', '.join(part['entries'])}"
+    if "program" in part:
+        return f"function {part['program'][:8]}"
     return f"{len(part['items'])} items" if "items" in part else str(part.get("value"))

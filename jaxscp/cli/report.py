@@ -66,10 +66,10 @@ def report(solution: Solution, timing: Timing) -> dict[str, Any]:
         "violation": plain(certificate.violation),
         "optimality": None if certificate.optimality is None else plain(certificate.optimality),
         "end_error": {
-            "position": plain(certificate.position_error),
-            "velocity": plain(certificate.velocity_error),
-            "attitude": plain(certificate.attitude_error),
-            "body_rate": plain(certificate.rate_error),
+            "position": plain(certificate.error("final position")),
+            "velocity": plain(certificate.error("final velocity")),
+            "attitude": plain(certificate.error("final attitude")),
+            "body_rate": plain(certificate.error("final body rate")),
         },
         "constraints": {
             name: {"at_nodes": plain(at), "between_nodes": plain(between)} for name, at, between in checks

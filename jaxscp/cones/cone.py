@@ -5,6 +5,7 @@ Names follow Goulart and Chen, "Clarabel: an interior-point solver for conic pro
 """
 
 import abc
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -27,6 +28,9 @@ class Cone(eqx.Module):
 
     A condition is one scalar inequality: every row of a nonnegative cone, or a second-order cone as a whole.
     """
+
+    least_rows: ClassVar[int] = 1
+    """Values that it holds at least."""
 
     @abc.abstractmethod
     def condition_rows(self, rows: int) -> int:
@@ -204,6 +208,8 @@ class NonNegative(SymmetricCone):
 
 class SecondOrder(SymmetricCone):
     """The values (t, v) obey |v| <= t."""
+
+    least_rows: ClassVar[int] = 2
 
     def condition_rows(self, rows: int) -> int:
         """All rows."""

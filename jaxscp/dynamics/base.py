@@ -1,13 +1,19 @@
-"""Equations of motion: a state, a control, and how fast the state changes."""
+"""Equations of motion: a state, a control, the time, and how fast the state changes."""
+
+from __future__ import annotations
 
 import abc
+from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 from jaxtyping import Array, Float
 
+from jaxscp.core.types import Scalar
+
 
 class Dynamics(eqx.Module):
-    """Equations of motion, which do not depend on time."""
+    """Equations of motion; parameters are leaves of the subclass."""
 
     @property
     @abc.abstractmethod
@@ -21,6 +27,53 @@ class Dynamics(eqx.Module):
 
     @abc.abstractmethod
     def __call__(
-        self, state: Float[Array, "states"], control: Float[Array, "controls"]
+        self, state: Float[Array, "states"], control: Float[Array, "controls"], time: Scalar | float
     ) -> Float[Array, "states"]:
         """Time derivative of the state."""
+
+    @staticmethod
+    def of(
+        function: Callable[..., Any], states: int, controls: int, parameters: Any = ()
+    ) -> FunctionDynamics:
+        """Dynamics from a plain function.
+
+        Args:
+            function: (state, control, time, parameters) -> time derivative of the state; pure.
+            states: number of states.
+            controls: number of controls.
+            parameters: a pytree of numbers and arrays, which gradients and batches reach.
+
+        Example:
+            >>> import jax.numpy as jnp
+            >>> from jaxscp.dynamics.base import Dynamics
+            >>> fall = lambda x, u, t, gravity: jnp.stack([x[1], u[0] - gravity])
+            >>> falling = Dynamics.of(fall, states=2, controls=1, parameters=9.81)
+            >>> falling(jnp.array([0.0, 3.0]), jnp.array([9.81]), 0.0).tolist()
+            [3.0, 0.0]
+        """
+        return FunctionDynamics(function, states, controls, parameters)
+
+
+class FunctionDynamics(Dynamics):
+    """Dynamics from a plain function, see ``Dynamics.of``."""
+
+    function: Callable[..., Any] = eqx.field(static=True)
+    states: int = eqx.field(static=True)
+    controls: int = eqx.field(static=True)
+    parameters: Any = ()
+
+    @property
+    def state_size(self) -> int:
+        """As given."""
+        return self.states
+
+    @property
+    def control_size(self) -> int:
+        """As given."""
+        return self.controls
+
+    def __call__(
+        self, state: Float[Array, "states"], control: Float[Array, "controls"], time: Scalar | float
+    ) -> Float[Array, "states"]:
+        """The function's value."""
+        return self.function(state, control, time, self.parameters)

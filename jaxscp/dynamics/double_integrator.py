@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxscp.core.types import Scalar
 from jaxscp.dynamics.base import Dynamics
 
 
@@ -30,7 +31,7 @@ class DoubleIntegrator(Dynamics):
         return self.dimension
 
     def __call__(
-        self, state: Float[Array, "states"], control: Float[Array, "controls"]
+        self, state: Float[Array, "states"], control: Float[Array, "controls"], time: Scalar | float = 0.0
     ) -> Float[Array, "states"]:
         """(velocity, acceleration)."""
         return jnp.concatenate([state[self.dimension :], control])

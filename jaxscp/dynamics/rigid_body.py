@@ -46,7 +46,7 @@ class RigidBody(Dynamics):
         return self.thrust_map.shape[-1]
 
     def __call__(
-        self, state: Float[Array, "states"], control: Float[Array, "controls"]
+        self, state: Float[Array, "states"], control: Float[Array, "controls"], time: Scalar | float = 0.0
     ) -> Float[Array, "states"]:
         """Equations (1)-(4)."""
         velocity, attitude, body_rate = state[3:6], state[6:10], state[10:13]

@@ -35,11 +35,19 @@ class LandingCone(eqx.Module):
 
 
 def inside_landing_cone(state, control, time, p: LandingCone) -> Float[Array, "3"]:
-    """Distance along the deck bounded by cot(gamma_c) times the height above it (equations 21-22).
+    """Distance along the deck bounded by cot(gamma_c) times the height above it (equations 21-22)."""
+    return _above_apex(state, p.apex, p)
+
+
+def inside_moving_landing_cone(state, control, time, p: LandingCone) -> Float[Array, "3"]:
+    """``inside_landing_cone`` of a deck that moves.
 
     The landing point is affine in time, so that the cone stays convex with time as a state.
     """
-    apex = p.apex if time is None else p.apex + p.velocity * time
+    return _above_apex(state, p.apex + p.velocity * time, p)
+
+
+def _above_apex(state, apex: Float[Array, "3"], p: LandingCone) -> Float[Array, "3"]:
     offset = p.axes.T @ (state[:3] - apex)
     return jnp.concatenate([(p.cotangent * offset[2])[None], offset[:2]])
 

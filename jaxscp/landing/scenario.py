@@ -11,7 +11,8 @@ from jaxscp.landing.mission import Mission
 from jaxscp.landing.problem import landing_problem
 from jaxscp.landing.validation import check_types, valid, validate
 from jaxscp.problem.form import Form
-from jaxscp.problem.problem import OptimalControlProblem, node_times
+from jaxscp.problem.node_values import node_times
+from jaxscp.problem.problem import OptimalControlProblem
 from jaxscp.problem.trajectory import Trajectory
 
 Allocation = Int[Array, "intervals"]

@@ -25,7 +25,7 @@ from jaxtyping import Array, Float
 
 from jaxscp.core.types import Scalar
 from jaxscp.problem.multipliers import Multipliers
-from jaxscp.problem.problem import OptimalControlProblem
+from jaxscp.problem.scaled_time import ScaledTimeProblem
 from jaxscp.transcription.inequalities import cones
 from jaxscp.transcription.lagrangian import lagrangian as without_barrier
 from jaxscp.transcription.shooting import Grid, evaluate
@@ -41,7 +41,7 @@ class Point(eqx.Module):
     y: Multipliers
 
 
-def lagrangian(problem: OptimalControlProblem, point: Point, grid: Grid, mu: Scalar | float = MU) -> Scalar:
+def lagrangian(problem: ScaledTimeProblem, point: Point, grid: Grid, mu: Scalar | float = MU) -> Scalar:
     """Lagrangian of cost, equalities and inequalities, and the barrier of the multipliers."""
     total = without_barrier(problem, point.z, evaluate(problem, point.z, grid), point.y, RELAXATION)
     for cone, multiplier in zip(cones(problem), point.y.values, strict=True):
@@ -49,7 +49,7 @@ def lagrangian(problem: OptimalControlProblem, point: Point, grid: Grid, mu: Sca
     return total
 
 
-def conditions(problem: OptimalControlProblem, point: Point, grid: Grid, mu: Scalar | float = MU) -> Point:
+def conditions(problem: ScaledTimeProblem, point: Point, grid: Grid, mu: Scalar | float = MU) -> Point:
     """Optimality conditions, zero at the optimum: the gradient of the Lagrangian.
 
     Its part for the multipliers holds the residuals of the equalities, and mu y^-1 - g of the inequalities.

@@ -28,7 +28,8 @@ from jaxscp.nlp.newton_system import (
     second_order_model,
 )
 from jaxscp.problem.multipliers import Multipliers
-from jaxscp.problem.problem import OptimalControlProblem, typical_sizes
+from jaxscp.problem.node_values import typical_sizes
+from jaxscp.problem.scaled_time import ScaledTimeProblem
 from jaxscp.transcription.inequalities import Values, cones, inequalities
 from jaxscp.transcription.shooting import Grid, evaluate
 
@@ -76,7 +77,7 @@ class NLPInteriorPoint(eqx.Module):
 
     def run(
         self,
-        problem: OptimalControlProblem,
+        problem: ScaledTimeProblem,
         z: Float[Array, "nodes variables"],
         y: Multipliers,
         grid: Grid,
@@ -104,7 +105,7 @@ class NLPInteriorPoint(eqx.Module):
 
     def init(
         self,
-        problem: OptimalControlProblem,
+        problem: ScaledTimeProblem,
         z: Float[Array, "nodes variables"],
         y: Multipliers,
         grid: Grid,
@@ -133,7 +134,7 @@ class NLPInteriorPoint(eqx.Module):
         )
 
     def step(
-        self, problem: OptimalControlProblem, old: Iterate, grid: Grid, scale: Float[Array, "variables"]
+        self, problem: ScaledTimeProblem, old: Iterate, grid: Grid, scale: Float[Array, "variables"]
     ) -> Iterate:
         """One Newton step."""
         model = second_order_model(problem, old.z, old.y, grid)
@@ -181,7 +182,7 @@ class _Pairs(eqx.Module):
     """With J' times multipliers, barrier gradients and scaled slack residuals W^-2 (g - s)."""
 
 
-def _pairs(problem: OptimalControlProblem, at: Iterate, model: SecondOrderModel) -> _Pairs:
+def _pairs(problem: ScaledTimeProblem, at: Iterate, model: SecondOrderModel) -> _Pairs:
     w = scalings(problem, at.slack, at.y.values)
     gradients = tuple(cone.barrier_gradient(s) for cone, s in zip(cones(problem), at.slack, strict=True))
     residuals = tuple(
@@ -200,7 +201,7 @@ class _Step(eqx.Module):
 
 
 def _direction(
-    problem: OptimalControlProblem,
+    problem: ScaledTimeProblem,
     old: Iterate,
     model: SecondOrderModel,
     pairs: _Pairs,
@@ -251,7 +252,7 @@ def _factor_definite(matrix: riccati.LQProblem, last: Scalar) -> tuple[riccati.F
 
 
 def _kkt_residual(
-    problem: OptimalControlProblem,
+    problem: ScaledTimeProblem,
     at: Iterate,
     model: SecondOrderModel,
     pairs: _Pairs,
@@ -269,7 +270,7 @@ def _kkt_residual(
     return jnp.max(jnp.stack([jnp.max(jnp.abs(part), initial=0.0) for part in parts]))
 
 
-def _step_length(problem: OptimalControlProblem, point: Values, direction: Values) -> Scalar:
+def _step_length(problem: ScaledTimeProblem, point: Values, direction: Values) -> Scalar:
     """Step, at most one, that keeps a point in the cones."""
     steps = [cone.step_length(v, dv) for cone, v, dv in zip(cones(problem), point, direction, strict=True)]
     return jnp.minimum(1.0, FRACTION_TO_BOUNDARY * jnp.min(jnp.stack(steps)))

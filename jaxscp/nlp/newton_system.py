@@ -15,8 +15,9 @@ from jaxscp.linalg import riccati
 from jaxscp.linalg.gram.dispatch import gram
 from jaxscp.linalg.gram.system import WeightedRows
 from jaxscp.nlp.central_path import RELAXATION
+from jaxscp.problem.end_conditions import end_condition, start_condition
 from jaxscp.problem.multipliers import Multipliers
-from jaxscp.problem.problem import OptimalControlProblem, end_condition, start_condition, terminal_cost
+from jaxscp.problem.scaled_time import ScaledTimeProblem
 from jaxscp.transcription.inequalities import (
     Jacobians,
     Values,
@@ -26,7 +27,7 @@ from jaxscp.transcription.inequalities import (
     jacobians,
     node_hessians,
 )
-from jaxscp.transcription.layout import interval_inputs, stage_sizes, sum_onto_nodes
+from jaxscp.transcription.layout import interval_variables, stage_sizes, sum_onto_nodes
 from jaxscp.transcription.shooting import Grid, linearise_with_hessian
 from jaxscp.transcription.stationarity import equalities_gradient
 
@@ -53,7 +54,7 @@ class SecondOrderModel(eqx.Module):
 
 
 def second_order_model(
-    problem: OptimalControlProblem, z: Float[Array, "nodes variables"], y: Multipliers, grid: Grid
+    problem: ScaledTimeProblem, z: Float[Array, "nodes variables"], y: Multipliers, grid: Grid
 ) -> SecondOrderModel:
     """The problem to second order about the point z with multipliers y."""
     (linear, intervals), n = linearise_with_hessian(problem, z, y, grid), problem.state_size
@@ -83,7 +84,7 @@ class EliminatedInequalities(eqx.Module):
 
 
 def eliminate_inequalities(
-    problem: OptimalControlProblem, jacobians: Jacobians, scalings: Scalings, *vectors: Values
+    problem: ScaledTimeProblem, jacobians: Jacobians, scalings: Scalings, *vectors: Values
 ) -> EliminatedInequalities:
     """J' W^-2 J, and J' v for each of the vectors."""
     parts: dict[bool, list[WeightedRows]] = {False: [], True: []}
@@ -94,7 +95,7 @@ def eliminate_inequalities(
         parts[nodal].append(WeightedRows(jacobian, diagonal, vector, stacked))
     nodes = gram(tuple(parts[True]))
     if not parts[False]:
-        count, inputs = problem.nodes - 1, interval_inputs(problem, nodes.matrix[:, 0]).shape[1]
+        count, inputs = problem.nodes - 1, interval_variables(problem, nodes.matrix[:, 0]).shape[1]
         blank = jnp.zeros((count, inputs, inputs), nodes.matrix.dtype)
         return EliminatedInequalities(blank, nodes.matrix, tuple(jnp.moveaxis(nodes.products, 1, 0)))
     intervals = gram(tuple(parts[False]))
@@ -104,7 +105,7 @@ def eliminate_inequalities(
 
 
 def newton_matrix(
-    problem: OptimalControlProblem,
+    problem: ScaledTimeProblem,
     model: SecondOrderModel,
     eliminated: EliminatedInequalities,
     scale: Float[Array, "variables"],
@@ -115,7 +116,7 @@ def newton_matrix(
 
 
 def lagrangian_matrix(
-    problem: OptimalControlProblem, model: SecondOrderModel, scale: Float[Array, "variables"]
+    problem: ScaledTimeProblem, model: SecondOrderModel, scale: Float[Array, "variables"]
 ) -> riccati.LQProblem:
     """Second derivatives of the Lagrangian in the scaled node variables and the multipliers of the equalities."""
     n, stage = problem.state_size, problem.variables
@@ -130,7 +131,7 @@ def lagrangian_matrix(
     )
 
 
-def scalings(problem: OptimalControlProblem, slack: Values, multipliers: Values) -> Scalings:
+def scalings(problem: ScaledTimeProblem, slack: Values, multipliers: Values) -> Scalings:
     """Nesterov-Todd scaling of every pair of a slack and a multiplier."""
     return tuple(cone.scaling(s, y) for cone, s, y in zip(cones(problem), slack, multipliers, strict=True))
 
@@ -143,17 +144,17 @@ def scaled(side: riccati.KKTVector, scale: Float[Array, "variables"]) -> riccati
 
 
 def jacobian_product(
-    problem: OptimalControlProblem, jacobians: Jacobians, dz: Float[Array, "nodes variables"]
+    problem: ScaledTimeProblem, jacobians: Jacobians, dz: Float[Array, "nodes variables"]
 ) -> Values:
     """J dz: derivatives of the inequalities in a direction."""
-    dw = interval_inputs(problem, dz)
+    dw = interval_variables(problem, dz)
     return tuple(
         jnp.einsum("iprw,iw->ipr", jacobian, dz if nodal else dw)
         for jacobian, nodal in zip(jacobians, at_nodes(problem), strict=True)
     )
 
 
-def _end_hessians(problem: OptimalControlProblem, z: Float[Array, "nodes variables"], y: Multipliers):
+def _end_hessians(problem: ScaledTimeProblem, z: Float[Array, "nodes variables"], y: Multipliers):
     """Second derivatives of multipliers times end conditions, and of the terminal cost in the last state."""
     n, last = problem.state_size, problem.nodes - 1
 
@@ -161,7 +162,7 @@ def _end_hessians(problem: OptimalControlProblem, z: Float[Array, "nodes variabl
         return jnp.vdot(y.initial, start_condition(problem, state))
 
     def at_end(state) -> Scalar:
-        cost = terminal_cost(problem, z.at[last, :n].set(state))
+        cost = problem.terminal_cost(z.at[last, :n].set(state))
         return cost + jnp.vdot(y.final, end_condition(problem, state))
 
     nodes = jnp.zeros((*z.shape, z.shape[1]), z.dtype)

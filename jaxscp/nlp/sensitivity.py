@@ -36,7 +36,8 @@ from jaxscp.nlp.newton_system import (
     second_order_model,
 )
 from jaxscp.problem.multipliers import Multipliers
-from jaxscp.problem.problem import OptimalControlProblem, typical_sizes
+from jaxscp.problem.node_values import typical_sizes
+from jaxscp.problem.scaled_time import ScaledTimeProblem
 from jaxscp.transcription.inequalities import Jacobians, Values, cones, transpose_product
 from jaxscp.transcription.shooting import Grid
 
@@ -45,7 +46,7 @@ TOLERANCE = 1e-13  # of its residual, relative
 Unknowns = tuple[riccati.KKTVector, Values]
 
 
-def implicit_solution(problem: OptimalControlProblem, point: Point, grid: Grid, is_optimum: Flag) -> Point:
+def implicit_solution(problem: ScaledTimeProblem, point: Point, grid: Grid, is_optimum: Flag) -> Point:
     """The given optimum as a function of the problem: its own value, with the theorem's derivatives.
 
     Args:
@@ -72,7 +73,7 @@ def _optimum_jvp(grid: Grid, primals, tangents):
     return point, _change(problem, inner, grid, is_optimum, tangents[0])
 
 
-def _change(problem: OptimalControlProblem, point: Point, grid: Grid, is_optimum: Flag, change) -> Point:
+def _change(problem: ScaledTimeProblem, point: Point, grid: Grid, is_optimum: Flag, change) -> Point:
     """Change of the optimum with the problem's floats: -A^-1 B change, A and B the derivatives of the conditions.
 
     Stated as one linear system, [1 0; B A] (f, p) = (change, 0), with solutions of it and of its transpose. Batch
@@ -101,15 +102,13 @@ def _change(problem: OptimalControlProblem, point: Point, grid: Grid, is_optimum
     return unravel(found)[1]
 
 
-def _forward(problem: OptimalControlProblem, point: Point, system: "System", grid: Grid, change, rhs: Point):
+def _forward(problem: ScaledTimeProblem, point: Point, system: "System", grid: Grid, change, rhs: Point):
     """Solve [1 0; B A] (f, p) = (change, rhs)."""
     caused = _conditions_change(problem, point, grid, change, jax.tree.map(jnp.zeros_like, point))
     return change, system.solve(problem, jax.tree.map(jnp.subtract, rhs, caused))
 
 
-def _backward(
-    problem: OptimalControlProblem, point: Point, system: "System", grid: Grid, weights, rhs: Point
-):
+def _backward(problem: ScaledTimeProblem, point: Point, system: "System", grid: Grid, weights, rhs: Point):
     """Solve [1 B'; 0 A] (f, p) = (weights, rhs)."""
     adjoint = system.solve(problem, rhs)
     floats, rest = eqx.partition(problem, eqx.is_inexact_array)
@@ -120,16 +119,14 @@ def _backward(
     return jax.tree.map(jnp.subtract, weights, jax.grad(product)(floats)), adjoint
 
 
-def _conditions_change(
-    problem: OptimalControlProblem, point: Point, grid: Grid, change, move: Point
-) -> Point:
+def _conditions_change(problem: ScaledTimeProblem, point: Point, grid: Grid, change, move: Point) -> Point:
     """B change + A move."""
     floats, rest = eqx.partition(problem, eqx.is_inexact_array)
     value = lambda floats, point: conditions(eqx.combine(floats, rest), point, grid)  # noqa: E731
     return jax.jvp(value, (floats, point), (change, move))[1]
 
 
-def _with_inner_multipliers(problem: OptimalControlProblem, point: Point, is_optimum: Flag) -> Point:
+def _with_inner_multipliers(problem: ScaledTimeProblem, point: Point, is_optimum: Flag) -> Point:
     """The point, with multipliers inside their cones where it is no optimum: masked numbers must be finite."""
     multipliers = tuple(
         jnp.where(is_optimum, y, jnp.broadcast_to(cone.identity(y.shape[-1]), y.shape))
@@ -139,7 +136,7 @@ def _with_inner_multipliers(problem: OptimalControlProblem, point: Point, is_opt
 
 
 @jax.custom_jvp
-def without_derivative(value: Array, problem: OptimalControlProblem) -> Array:
+def without_derivative(value: Array, problem: ScaledTimeProblem) -> Array:
     """The value, with no derivative with respect to the problem: to request one is an error, not zero."""
     return value
 
@@ -168,7 +165,7 @@ class System(eqx.Module):
     reduced: riccati.Factor
     """Factor of H + J' W^-2 J and A."""
 
-    def solve(self, problem: OptimalControlProblem, right: Point) -> Point:
+    def solve(self, problem: ScaledTimeProblem, right: Point) -> Point:
         """Solution for one right-hand side, by GMRES with the factor as preconditioner.
 
         The factor is wrong in few directions only, so that a few steps do the work of fifty refinements.
@@ -187,7 +184,7 @@ class System(eqx.Module):
         side = scaled(side, self.scale)
         return Point(side.nodes, Multipliers(side.flow, side.initial, side.final, multipliers))
 
-    def _apply(self, problem: OptimalControlProblem, x: Unknowns) -> Unknowns:
+    def _apply(self, problem: ScaledTimeProblem, x: Unknowns) -> Unknowns:
         """The matrix times a vector."""
         side, y = x
         out = riccati.apply(self.lagrangian, side)
@@ -196,7 +193,7 @@ class System(eqx.Module):
         rows = tuple(-d - w.square(v) for d, w, v in zip(derivatives, self.scalings, y, strict=True))
         return eqx.tree_at(lambda s: s.nodes, out, nodes), rows
 
-    def _precondition(self, problem: OptimalControlProblem, right: Unknowns) -> Unknowns:
+    def _precondition(self, problem: ScaledTimeProblem, right: Unknowns) -> Unknowns:
         """Solution by the factor, with y = -W^-2 (right_y + J z)."""
         side, rows = right
         weighted = tuple(w.inverse_square(r) for w, r in zip(self.scalings, rows, strict=True))
@@ -208,7 +205,7 @@ class System(eqx.Module):
 
 
 @functools.partial(jax.jit, static_argnums=2)
-def _system(problem: OptimalControlProblem, point: Point, grid: Grid) -> System:
+def _system(problem: ScaledTimeProblem, point: Point, grid: Grid) -> System:
     """The factored matrix."""
     model, scale = second_order_model(problem, point.z, point.y, grid), typical_sizes(point.z)
     slack = tuple(

@@ -1,26 +1,15 @@
-"""A planner: static choices; a call checks a scenario, states its problem, guesses, solves and certifies."""
+"""A planner: a solver for scenarios, which state their problem and guess its solution."""
 
-import functools
 import os
-import pathlib
-from typing import Any
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
-from jax.core import Tracer
 
-from jaxscp.aot import aot, export, planner_cache
-from jaxscp.backends.xla import jit_with_options
-from jaxscp.core.status import Status
-from jaxscp.core.types import Flag
-from jaxscp.planner.scenario import Scenario
-from jaxscp.problem.problem import OptimalControlProblem
-from jaxscp.scp.method import Method, MethodResult, iterate
+from jaxscp.aot import aot
+from jaxscp.scp.method import Method
 from jaxscp.scp.newton import NewtonSCP
-from jaxscp.solver.load import load
+from jaxscp.solver.pipeline import Pipeline
+from jaxscp.solver.scenario import Scenario
 from jaxscp.solver.solution import Solution
-from jaxscp.solver.solve import conclude
 
 
 class Planner(eqx.Module):
@@ -52,20 +41,11 @@ class Planner(eqx.Module):
             InvalidScenario: if the scenario contradicts itself (outside ``jit`` and ``vmap`` only, before any
                 compilation; inside them the status of that element is ``invalid_input``).
         """
-        self._check(scenario)
-        inputs = scenario.solver_inputs()
-        if (compiled := planner_cache.cached(self._maker(), inputs)) is not None:
-            return compiled.run(inputs)
-        return _conclude(self, *_solve(self, *_setup(self, inputs)))
+        return self.pipeline(scenario)
 
     def replan(self, solution: Solution, scenario: Scenario) -> Solution:
         """Plan a changed scenario, from the solution of a similar one."""
-        self._check(scenario)
-        inputs = scenario.solver_inputs()
-        begun = (*_setup_again(self, inputs, solution.context), solution.z, solution.context)
-        if (compiled := planner_cache.cached(self._maker(), inputs, begun)) is not None:
-            return compiled.run_from(begun)
-        return _conclude(self, *_solve(self, *begun))
+        return self.pipeline.again(solution, scenario)
 
     def compile(self, scenario: Scenario, batch_size: int | None = None) -> aot.CompiledPlanner:
         """Compile now for scenarios like this one; the compiled planner traces and compiles nothing more.
@@ -84,7 +64,7 @@ class Planner(eqx.Module):
             >>> jaxscp.status_names(planner(scenario).status)
             'dynamics_unmet'
         """
-        return aot.compiled(self.trace(scenario, batch_size))
+        return self.pipeline.compile(scenario, batch_size)
 
     def export(self, file: str | os.PathLike, scenario: Scenario, batch_size: int | None = None) -> None:
         """Compile as ``compile`` does, and write the result to a file, for ``jaxscp.load``.
@@ -101,66 +81,9 @@ class Planner(eqx.Module):
             NotImplementedError: if the method solves on the host (``conic.OSQP``), which no file can hold.
             OSError: if the file cannot be written.
         """
-        traced = self.trace(scenario, batch_size)
-        if not (folder := pathlib.Path(file).absolute().parent).is_dir():
-            raise FileNotFoundError(f"{folder}: no such folder to write {os.fspath(file)} in")
-        export.write(file, traced, export.programs_of(traced))
+        self.pipeline.export(file, self.pipeline.trace(scenario, batch_size))
 
-    def trace(self, scenario: Scenario, batch_size: int | None = None) -> aot.TracedPlanner:
-        """The planner's programs for scenarios like this one, traced."""
-        # Not as parts of another program: XLA then compiles them exactly as it does for a plain call.
-        parts = [functools.partial(part.function, self) for part in (_setup, _solve, _conclude)]
-        return aot.trace(parts, scenario, self.nodes, batch_size)
-
-    def setup(self, scenario: Scenario):
-        """Problem, first node variables and context of a scenario: the inputs of the iterations."""
-        problem, context = scenario.problem(self.nodes, self.method.form)
-        guess = scenario.guess(problem, context)
-        return problem, problem.join(guess.state, guess.control, guess.dilation), context
-
-    def _check(self, scenario: Scenario) -> None:
-        if not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(scenario)):
-            scenario.check(self.nodes)
-
-    def _maker(self) -> planner_cache.Maker:
-        return planner_cache.Maker(self, self.trace, load)
-
-
-# Three compiled parts. The first depends on the scenario's shape (polytopes, say), and is small. All scenarios with the
-# same nodes and faces share the others, which are large: the solver and the verifier, compiled in parallel.
-# The outputs of each part are the inputs of the next.
-
-
-@functools.partial(jit_with_options, static_argnums=0)
-def _setup(planner: Planner, scenario: Scenario):
-    return _strongly_typed((scenario.valid(), *planner.setup(scenario)))
-
-
-@functools.partial(jit_with_options, static_argnums=0)
-def _setup_again(planner: Planner, scenario: Scenario, context: Any):
-    problem, _ = scenario.problem(planner.nodes, planner.method.form, context)
-    return _strongly_typed((scenario.valid(), problem))
-
-
-@functools.partial(jit_with_options, static_argnums=0)
-def _solve(planner: Planner, ok: Flag, problem: OptimalControlProblem, z, context: Any):
-    return _strongly_typed((ok, problem, iterate(planner.method, problem, z, ok), context))
-
-
-@functools.partial(jit_with_options, static_argnums=0)
-def _conclude(
-    planner: Planner, ok: Flag, problem: OptimalControlProblem, result: MethodResult, context: Any
-) -> Solution:
-    solution = conclude(planner.method, planner.samples, problem, result, context)
-    return _blank_unless(ok, solution)
-
-
-def _strongly_typed(values):
-    """Without weak types: else 0.5 from Python and 0.5 from an array would each compile a solver of their own."""
-    return jax.tree.map(lambda v: jnp.asarray(v, jnp.result_type(v)), values)
-
-
-def _blank_unless(ok, solution: Solution) -> Solution:
-    """Zeros and ``invalid_input`` for an element whose scenario is not valid: nothing else passes on."""
-    blank = jax.tree.map(lambda v: jnp.where(ok, v, jnp.zeros_like(v)), solution)
-    return eqx.tree_at(lambda s: s.status, blank, Status.where(ok, solution.status, Status.invalid_input))
+    @property
+    def pipeline(self) -> Pipeline:
+        """Its programs."""
+        return Pipeline(self.nodes, self.method, self.samples)

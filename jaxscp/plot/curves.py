@@ -10,6 +10,8 @@ from jaxtyping import Float
 from jaxscp.corridor.polytopes import Corridor
 from jaxscp.landing.problem import landing_problem
 from jaxscp.landing.scenario import LandingScenario
+from jaxscp.problem.form import Continuous
+from jaxscp.problem.lowering import over_scaled_time
 from jaxscp.solver.solution import Solution
 from jaxscp.verification.rollout import Rollout, rollout
 
@@ -47,7 +49,11 @@ def planned(solution: Solution) -> Curves:
 
 @eqx.filter_jit
 def _rollout(scenario: LandingScenario, solution: Solution, samples: int) -> Rollout:
-    return rollout(landing_problem(scenario, solution.context), solution.trajectory, samples)
+    return rollout(
+        over_scaled_time(landing_problem(scenario, solution.context), Continuous()),
+        solution.trajectory,
+        samples,
+    )
 
 
 def corridor_margin(corridor: Corridor, curves: Curves) -> Array:

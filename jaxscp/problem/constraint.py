@@ -1,4 +1,4 @@
-"""A constraint: a function of (state, control, time, parameters of the node), and the cone that its values lie in.
+"""A constraint: a function of (state, control, time, parameters), and the cone that its values lie in.
 
 Linearisation keeps affine functions exactly. It replaces others anew at every iteration.
 """
@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool
+from jaxtyping import Array, Bool, Float
 
 from jaxscp.cones.cone import Cone
 from jaxscp.core.types import Scalar
@@ -37,7 +37,7 @@ class Where(eqx.Module):
 
         Args:
             function: of the constraint.
-            at: (state, time or None, width): at the first node, and the interval's width in scaled time.
+            at: (state, time, width): at the first node, and the interval's width in scaled time.
             first: controls with the dilation, at the first node.
             last: the same at the last node.
             parameters: of the first node.
@@ -81,34 +81,51 @@ class Constraint(eqx.Module):
     """``function(state, control, time, parameters)`` lies in ``cone``.
 
     Args:
-        function: a pure function defined at module level; returns one axis of values.
-        parameters: a pytree whose arrays have the nodes as leading axis.
+        function: a pure function; returns one axis of values.
         cone: ``Zero()``, ``NonNegative()`` or ``SecondOrder()``.
-        active: (nodes,) whether the constraint holds at a node.
-        name: for reports.
+        parameters: a pytree of numbers and arrays.
+        per_node: whether arrays of ``parameters`` have the nodes as leading axis. Node k's values hold in the whole
+            interval after it.
+        active: (nodes,) whether the constraint holds at a node; None is everywhere.
         where: ``Throughout()``, ``AtNodes()`` or ``AcrossIntervals()``.
         convex: whether the feasible set is convex. The linearisation of another constraint may contradict the rest
             far from a solution; subproblems may then violate it at a penalty (virtual buffer).
-        allowed: violation that counts as none, in the unit of the values.
+        tolerance: violation that counts as none, in the unit of the values; None is 1e-3, times the values' typical
+            size if the problem has a scale.
+        name: for reports; by default the function's.
+        soft: None, or a weight: the constraint may be violated, at this cost per unit of violation and second.
 
     Example:
-        >>> import jax.numpy as jnp
-        >>> from jaxscp.cones.cone import NonNegative
-        >>> from jaxscp.problem.constraint import Constraint
-        >>> def floor(state, control, time, height):
+        >>> import jaxscp
+        >>> def above_floor(state, control, time, height):
         ...     return state[2:3] - height
-        >>> Constraint(floor, jnp.full((5, 1), 0.3), NonNegative(), jnp.ones(5, bool), "floor").name
-        'floor'
+        >>> floor = jaxscp.Constraint(above_floor, jaxscp.NonNegative(), 0.3, convex=True)
     """
 
-    function: Callable[..., Array] = eqx.field(static=True)
-    parameters: Any
+    function: Callable[..., Any] = eqx.field(static=True)
     cone: Cone
-    active: Bool[Array, "nodes"]
-    name: str = eqx.field(static=True)
+    parameters: Any = ()
+    per_node: bool = eqx.field(default=False, static=True)
+    active: Bool[Array, "nodes"] | None = None
     where: Where = Throughout()
-    convex: bool = eqx.field(default=True, static=True)
-    allowed: Scalar | float = DISTANCE_TOLERANCE
+    convex: bool = eqx.field(default=False, static=True)
+    tolerance: Scalar | float | None = None
+    name: str = eqx.field(default="", static=True)
+    soft: Scalar | float | None = None
+
+    def node_parameters(self) -> Any:
+        """Those that differ from node to node; the others belong to ``value``."""
+        return self.parameters if self.per_node else ()
+
+    def with_parameters(self, function: Callable[..., Array]) -> Callable[..., Array]:
+        """A function whose last argument is one of ``node_parameters``."""
+        if self.per_node:
+            return function
+        return lambda *arguments: function(*arguments[:-1], self.parameters)
+
+    def value(self, state, control, time, node_parameters: Any) -> Float[Array, "rows"]:
+        """Values at a point."""
+        return self.with_parameters(self.function)(state, control, time, node_parameters)
 
     def active_in_intervals(self, points: int) -> Bool[Array, "intervals points"]:
         """Points of every interval at which the constraint holds.
@@ -116,13 +133,21 @@ class Constraint(eqx.Module):
         It holds in the intervals of its active nodes, and at the last node only if active there: a landing cone, say,
         is left out at its apex, where the end condition holds the vehicle.
         """
+        assert self.active is not None, "of a problem over scaled time"
         active = jnp.broadcast_to(self.active[:-1, None], (self.active.shape[0] - 1, points))
         last_point = active[-1, -1] & (self.active[-1] | (points == 1))
         return active.at[-1, -1].set(last_point)
 
     def active_at_locations(self, points: int) -> Bool[Array, "locations points"]:
         """The same for its own locations: nodes for ``AtNodes``, else intervals."""
+        assert self.active is not None, "of a problem over scaled time"
         return self.active[:, None] if self.where.nodal else self.active_in_intervals(points)
+
+
+def name_of(function: Callable[..., Any]) -> str:
+    """Name of a function, for reports; empty for a lambda."""
+    name = getattr(function, "__name__", type(function).__name__)
+    return "" if name == "<lambda>" else name.strip("_").replace("_", " ")
 
 
 def repeat_over_nodes(parameters: Any, nodes: int) -> Any:

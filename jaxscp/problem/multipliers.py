@@ -29,4 +29,4 @@ class Multipliers(eqx.Module):
     @property
     def dilation(self) -> Nodes:
         """The larger multiplier of each node's two dilation limits."""
-        return jnp.max(self.values[-1][:, 0], axis=1)
+        return jnp.max(self.values[-1][:, 0, :2], axis=1)

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import os
 import zipfile
+from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from jaxscp.core.types import Controls, Nodes, Scalar, States
+from jaxscp.problem.node_values import node_times
 
 
 class Trajectory(eqx.Module):
-    """States and controls at the nodes, in SI units.
+    """States and controls at the nodes; of a landing, in SI units.
 
     Between nodes the controls and the dilation are linear in scaled time tau, k / (N - 1) at node k.
     """
@@ -22,11 +25,31 @@ class Trajectory(eqx.Module):
     time: Nodes
     """Seconds from the start, (nodes,)."""
     state: States
-    """(nodes, 13): position m, velocity m/s, attitude quaternion (w, x, y, z), body rate rad/s."""
+    """(nodes, states); of a landing 13: position m, velocity m/s, attitude quaternion (w, x, y, z), body rate rad/s."""
     control: Controls
-    """(nodes, rotors): thrusts in N."""
+    """(nodes, controls); of a landing, the thrust of each rotor in N."""
     dilation: Nodes
     """dt/dtau in seconds, (nodes,)."""
+
+    zero_order_hold: tuple[int, ...] = eqx.field(default=(), static=True)
+    """Numbers of the controls that keep the value of an interval's first node."""
+
+    @property
+    def nodes(self) -> int:
+        """Number of nodes."""
+        return self.time.shape[-1]
+
+    def interval_controls(self) -> tuple[Array, Array]:
+        """Controls at the first and at the last point of every interval, (intervals, controls) each."""
+        return self.controls_of_intervals(self.control)
+
+    def controls_of_intervals(self, control: Controls) -> tuple[Array, Array]:
+        """The same for other values at the nodes."""
+        first, last = control[:-1], control[1:]
+        if self.zero_order_hold:
+            chosen = jnp.array(self.zero_order_hold)
+            last = last.at[:, chosen].set(first[:, chosen])
+        return first, last
 
     def scaled_time(self, time: Scalar | float) -> Scalar:
         """Scaled time tau of a time in seconds (held at the ends); inverts t(tau) exactly."""
@@ -41,21 +64,77 @@ class Trajectory(eqx.Module):
 
     def control_at(self, time: Scalar | float) -> Float[Array, "controls"]:
         """Controls at a time in seconds, exactly as planned (held at the ends)."""
-        return self._linear(self.control, time)
+        first, last = self.interval_controls()
+        i, fraction = self._interval(time)
+        return (1.0 - fraction) * first[i] + fraction * last[i]
 
     def state_at(self, time: Scalar | float) -> Float[Array, "states"]:
         """State at a time in seconds, linear between nodes: for display. Integrate the controls for more."""
-        return self._linear(self.state, time)
+        i, fraction = self._interval(time)
+        return (1.0 - fraction) * self.state[i] + fraction * self.state[i + 1]
 
-    def _linear(self, values, time):
+    def _interval(self, time: Scalar | float):
+        """Number of the interval at a time, and the fraction of it, by scaled time."""
         position = self.scaled_time(time) * (self.time.shape[0] - 1)
         i = jnp.clip(jnp.floor(position).astype(int), 0, self.time.shape[0] - 2)
-        fraction = position - i.astype(position.dtype)
-        return (1.0 - fraction) * values[i] + fraction * values[i + 1]
+        return i, position - i.astype(position.dtype)
+
+    def resampled(self, nodes: int) -> Trajectory:
+        """The trajectory on another number of nodes, linear in scaled time between its own.
+
+        Example:
+            >>> import jaxscp
+            >>> line = jaxscp.Trajectory.from_arrays([0.0, 2.0], [[0.0], [4.0]], [[1.0], [1.0]])
+            >>> line.resampled(5).state[:, 0].tolist()
+            [0.0, 1.0, 2.0, 3.0, 4.0]
+        """
+        if nodes == self.nodes:
+            return self
+        own, new = jnp.linspace(0.0, 1.0, self.nodes), jnp.linspace(0.0, 1.0, nodes)
+        columns = jax.vmap(lambda v: jnp.interp(new, own, v), in_axes=1, out_axes=1)
+        dilation = jnp.interp(new, own, self.dilation)
+        return Trajectory(
+            node_times(dilation), columns(self.state), columns(self.control), dilation, self.zero_order_hold
+        )
+
+    @staticmethod
+    def from_arrays(times: Any, states: Any, controls: Any) -> Trajectory:
+        """A trajectory from values at rising times, of any number; it is linear between them.
+
+        Args:
+            times: (n,) in s, from zero on.
+            states: (n, states).
+            controls: (n, controls).
+
+        Returns:
+            As many nodes, at equal distances in time.
+
+        Raises:
+            ValueError: if times do not rise, or lengths differ.
+
+        Example:
+            >>> import jaxscp
+            >>> path = jaxscp.Trajectory.from_arrays([0.0, 1.0, 4.0], [[0.0], [1.0], [2.0]], [[0.0], [0.0], [0.0]])
+            >>> path.time.tolist(), path.state[:, 0].round(2).tolist()
+            ([0.0, 2.0, 4.0], [0.0, 1.33, 2.0])
+        """
+        times, states, controls = (np.asarray(v, float) for v in (times, states, controls))
+        if times.ndim != 1 or len(times) < 2 or np.any(np.diff(times) <= 0.0) or times[0] != 0.0:
+            raise ValueError("times: two or more are needed, rising from zero on")
+        for name, values in (("states", states), ("controls", controls)):
+            if values.ndim != 2 or len(values) != len(times):
+                raise ValueError(f"{name}: expected ({len(times)}, columns) as times has, got {values.shape}")
+        even = np.linspace(0.0, times[-1], len(times))
+        columns = lambda v: np.stack([np.interp(even, times, c) for c in v.T], axis=1)  # noqa: E731
+        dilation = np.full(len(times), times[-1])
+        path = jnp.asarray(even), jnp.asarray(columns(states)), jnp.asarray(columns(controls))
+        return Trajectory(*path, jnp.asarray(dilation))
 
     def save(self, file: str | os.PathLike) -> None:
         """Write an .npz with ``time``, ``state``, ``control`` and ``dilation``, in SI units."""
         arrays = {name: np.asarray(getattr(self, name)) for name in ("time", "state", "control", "dilation")}
+        if self.zero_order_hold:
+            arrays["zero_order_hold"] = np.array(self.zero_order_hold)
         with open(file, "wb") as stream:
             np.savez(stream, allow_pickle=False, **arrays)
 
@@ -72,6 +151,7 @@ class Trajectory(eqx.Module):
             with open(file, "rb") as stream, np.load(stream) as archive:
                 missing = [name for name in names if name not in archive]
                 arrays = {name: archive[name] for name in names if name not in missing}
+                hold = tuple(archive["zero_order_hold"].tolist()) if "zero_order_hold" in archive else ()
         except (zipfile.BadZipFile, EOFError, TypeError, ValueError) as error:
             raise ValueError(f"{file}: not a trajectory archive (.npz): {error}") from error
         if missing:
@@ -80,4 +160,5 @@ class Trajectory(eqx.Module):
         for name, array in arrays.items():
             if array.shape[0] != nodes:
                 raise ValueError(f"{file}: field {name!r} has {array.shape[0]} nodes, but 'time' has {nodes}")
-        return Trajectory(**{name: jnp.asarray(array) for name, array in arrays.items()})
+        time, state, control, dilation = (jnp.asarray(arrays[name]) for name in names)
+        return Trajectory(time, state, control, dilation, hold)

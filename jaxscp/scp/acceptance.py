@@ -7,7 +7,8 @@ from jax.flatten_util import ravel_pytree
 
 from jaxscp.core.status import usable
 from jaxscp.core.types import Count, Flag, Scalar
-from jaxscp.problem.problem import OptimalControlProblem, typical_sizes
+from jaxscp.problem.node_values import typical_sizes
+from jaxscp.problem.scaled_time import ScaledTimeProblem
 from jaxscp.scp.line_search import PROXIMAL_GROWTH, LineSearch
 from jaxscp.scp.state import NewtonSettings, NewtonState
 from jaxscp.scp.subproblem import SubproblemSolution
@@ -20,7 +21,7 @@ LEAST_PROXIMAL, MOST_PROXIMAL = 1e-5, 1e4
 
 def accept_or_reject(
     settings: NewtonSettings,
-    problem: OptimalControlProblem,
+    problem: ScaledTimeProblem,
     state: NewtonState,
     qp: SubproblemSolution,
     search: LineSearch,

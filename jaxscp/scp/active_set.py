@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Shaped
 
 from jaxscp.core.types import Nodes
 from jaxscp.problem.multipliers import Multipliers
-from jaxscp.problem.problem import OptimalControlProblem
+from jaxscp.problem.scaled_time import ScaledTimeProblem
 from jaxscp.transcription.shooting import Linearisation, Outputs
 
 NEAR_LIMIT = 0.02  # slack, in the unit of a condition, that a correction might use up
@@ -40,7 +40,7 @@ class ActiveSet(eqx.Module):
 
 
 def active_set(
-    problem: OptimalControlProblem,
+    problem: ScaledTimeProblem,
     linear: Linearisation,
     multipliers: Multipliers,
     scale: Float[Array, "inputs"],
@@ -63,7 +63,7 @@ def active_set(
 
 
 def near_limits(
-    problem: OptimalControlProblem,
+    problem: ScaledTimeProblem,
     linear: Linearisation,
     z: Float[Array, "nodes variables"],
     scale: Float[Array, "inputs"],
@@ -77,19 +77,19 @@ def near_limits(
     return ActiveSet(gradient, size, active.astype(size.dtype), at_limit.astype(size.dtype))
 
 
-def slacks(problem: OptimalControlProblem, outputs: Outputs) -> Float[Array, "intervals conditions"]:
+def slacks(problem: ScaledTimeProblem, outputs: Outputs) -> Float[Array, "intervals conditions"]:
     """Slacks of the conditions, in the order of an ``ActiveSet``."""
     margins = [c.cone.margin(v) for c, v in zip(problem.constraints, outputs.values, strict=True)]
     return _concatenated(problem, margins)
 
 
-def nearest_dilation_limit(problem: OptimalControlProblem, dilation: Nodes) -> Nodes:
+def nearest_dilation_limit(problem: ScaledTimeProblem, dilation: Nodes) -> Nodes:
     """The limit that each node's dilation is nearer to."""
     middle = 0.5 * (problem.dilation_min + problem.dilation_max)
     return jnp.where(dilation < middle, problem.dilation_min, problem.dilation_max)
 
 
-def _gradients(problem: OptimalControlProblem, linear: Linearisation, scale: Float[Array, "inputs"]):
+def _gradients(problem: ScaledTimeProblem, linear: Linearisation, scale: Float[Array, "inputs"]):
     """Gradient of every condition, at unit length, and the length before."""
     parts = []
     for constraint, values, jacobian in zip(
@@ -103,7 +103,7 @@ def _gradients(problem: OptimalControlProblem, linear: Linearisation, scale: Flo
     return gradient / size[..., None], size
 
 
-def _enforced(problem: OptimalControlProblem, like: list[Array]) -> Bool[Array, "intervals conditions"]:
+def _enforced(problem: ScaledTimeProblem, like: list[Array]) -> Bool[Array, "intervals conditions"]:
     """Whether each condition is enforced at all, in the shape of a list by constraints."""
     parts = [
         jnp.broadcast_to(c.active_in_intervals(v.shape[1])[:, :, None], v.shape)
@@ -112,9 +112,7 @@ def _enforced(problem: OptimalControlProblem, like: list[Array]) -> Bool[Array, 
     return _concatenated(problem, parts).astype(bool)
 
 
-def _concatenated(
-    problem: OptimalControlProblem, parts: list[Array]
-) -> Shaped[Array, "intervals conditions"]:
+def _concatenated(problem: ScaledTimeProblem, parts: list[Array]) -> Shaped[Array, "intervals conditions"]:
     """Conditions of all constraints by intervals; no columns for a problem without constraints."""
     columns = [part.reshape(part.shape[0], -1) for part in parts]
     return jnp.concatenate(columns or [jnp.zeros((problem.nodes - 1, 0))], axis=1)

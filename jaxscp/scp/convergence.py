@@ -5,7 +5,8 @@ import jax.numpy as jnp
 
 from jaxscp.core.status import Status, usable
 from jaxscp.core.types import Scalar
-from jaxscp.problem.problem import OptimalControlProblem, node_times
+from jaxscp.problem.node_values import node_times
+from jaxscp.problem.scaled_time import ScaledTimeProblem
 from jaxscp.scp.acceptance import MOST_PROXIMAL
 from jaxscp.scp.history import History
 from jaxscp.scp.state import NewtonSettings, NewtonState
@@ -16,7 +17,7 @@ from jaxscp.transcription.stationarity import lagrangian_gradient, stationarity
 
 def check_convergence(
     settings: NewtonSettings,
-    problem: OptimalControlProblem,
+    problem: ScaledTimeProblem,
     new: NewtonState,
     qp: SubproblemSolution,
     tolerance_factor: Scalar | float,

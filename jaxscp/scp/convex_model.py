@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxscp.core import batching
-from jaxscp.problem.problem import OptimalControlProblem
+from jaxscp.problem.scaled_time import ScaledTimeProblem
 from jaxscp.scp.active_set import active_set, nearest_dilation_limit, slacks
 from jaxscp.scp.hessian_convexification import LinearDynamics, convexified_along_horizon, projected
 from jaxscp.scp.second_order_correction import ACTIVE_PENALTY
@@ -38,7 +38,7 @@ class _Quadratic(eqx.Module):
     gradient: Float[Array, "nodes inputs"]
 
 
-def convex_model(problem: OptimalControlProblem, state: NewtonState) -> ConvexModel:
+def convex_model(problem: ScaledTimeProblem, state: NewtonState) -> ConvexModel:
     """The model about the reference."""
     scale = stage_sizes(problem, state.scale)
     stage, inputs = problem.variables, scale.shape[0]
@@ -56,7 +56,7 @@ def convex_model(problem: OptimalControlProblem, state: NewtonState) -> ConvexMo
 
 
 def _along_horizon(
-    problem: OptimalControlProblem, state: NewtonState, scale: Float[Array, "inputs"]
+    problem: ScaledTimeProblem, state: NewtonState, scale: Float[Array, "inputs"]
 ) -> _Quadratic:
     """Convexified along the horizon, with a penalty on leaving the last subproblem's active constraints."""
     n, stage = problem.state_size, problem.variables

@@ -13,15 +13,15 @@ from jaxtyping import Array, Float
 
 from jaxscp.cones.kinds import by_cone
 from jaxscp.conic.program import Cones, ConicMultipliers, CouplingRows, HalfSpaceRows, StagedProgram
-from jaxscp.problem.constraint import Constraint
+from jaxscp.problem.end_conditions import Condition
 from jaxscp.problem.multipliers import Multipliers
-from jaxscp.problem.problem import Condition, OptimalControlProblem
+from jaxscp.problem.scaled_time import PathConstraint, ScaledTimeProblem
 from jaxscp.transcription.layout import cost_gradient
-from jaxscp.transcription.shooting import Linearisation, value_at
+from jaxscp.transcription.shooting import Linearisation
 
 
 def interval_program(
-    problem: OptimalControlProblem,
+    problem: ScaledTimeProblem,
     z: Float[Array, "nodes variables"],
     linear: Linearisation,
     hessian: Float[Array, "nodes inputs inputs"],
@@ -40,7 +40,7 @@ def interval_program(
     """
     kinds = _by_cone(problem)
     rows = [_half_spaces(problem, i, z, linear) for i in kinds.nonnegative]
-    rows.append(_dilation_limits(problem, z, hessian.shape[-1]))
+    rows.append(_node_limits(problem, z, hessian.shape[-1]))
     matrix, offset = (jnp.concatenate(part, axis=1) for part in zip(*rows, strict=True))
     program = StagedProgram(
         hessian=hessian,
@@ -54,18 +54,18 @@ def interval_program(
     return _with_buffer(program, _buffered_rows(problem, linear), virtual_weight)
 
 
-def has_buffer(problem: OptimalControlProblem) -> bool:
+def has_buffer(problem: ScaledTimeProblem) -> bool:
     """Whether stages have a virtual buffer."""
     return not all(c.convex for c in problem.constraints)
 
 
-def node_step(problem: OptimalControlProblem, stages: Float[Array, "nodes _"]) -> Float[Array, "nodes _"]:
+def node_step(problem: ScaledTimeProblem, stages: Float[Array, "nodes _"]) -> Float[Array, "nodes _"]:
     """Step of the node variables, from the stages."""
     return stages[:, : problem.variables]
 
 
 def nlp_multipliers(
-    problem: OptimalControlProblem, linear: Linearisation, found: ConicMultipliers
+    problem: ScaledTimeProblem, linear: Linearisation, found: ConicMultipliers
 ) -> Multipliers:
     """Multipliers of the nonlinear problem, from the multipliers of the subproblem's rows."""
     states, kinds = problem.state_size, _by_cone(problem)
@@ -79,16 +79,16 @@ def nlp_multipliers(
     for i, y in zip(kinds.second_order, found.cones, strict=True):
         values[i] = y
     values = [y if c.where.nodal else y[:-1] for c, y in zip(problem.constraints, values, strict=True)]
-    dilation = found.rows[:, None, first : first + 2]
+    limits = found.rows[:, None, first : first + 2 + problem.slacks]
     return Multipliers(
         flow=found.links[1:-1, :states],
         initial=found.links[0, : linear.initial.value.shape[0]],
         final=found.links[-1, : linear.final.value.shape[0]],
-        values=(*values, dilation),
+        values=(*values, limits),
     )
 
 
-def check(problem: OptimalControlProblem) -> None:
+def check(problem: ScaledTimeProblem) -> None:
     """Raise ``ValueError`` for a problem without such a subproblem; the message names the constraint."""
     if problem.carries_cost:
         raise ValueError("carries_cost: this form keeps the running cost out of the states; leave it False")
@@ -105,12 +105,12 @@ def check(problem: OptimalControlProblem) -> None:
             )
 
 
-def _by_cone(problem: OptimalControlProblem):
+def _by_cone(problem: ScaledTimeProblem):
     return by_cone(c.cone for c in problem.constraints)
 
 
 def _coupling(
-    problem: OptimalControlProblem,
+    problem: ScaledTimeProblem,
     z: Float[Array, "nodes variables"],
     linear: Linearisation,
     virtual_weight: float,
@@ -128,7 +128,7 @@ def _coupling(
     before = before.at[:, :n].set(jacobian).at[:, n:, stage:].set(shared)
     after = jnp.broadcast_to(-jnp.eye(stage, inputs, dtype=z.dtype), before.shape)
     offset = jnp.zeros((intervals, stage), z.dtype).at[:, :n].set(-defect)
-    soft = jnp.zeros((intervals + 2, stage), z.dtype).at[1:-1, : problem.dynamics.state_size].set(1.0)
+    soft = jnp.zeros((intervals + 2, stage), z.dtype).at[1:-1, : problem.dynamic_states].set(1.0)
     return CouplingRows(
         before=jnp.concatenate([none, before, final[None]]),
         after=jnp.concatenate([initial[None], after, none]),
@@ -145,7 +145,7 @@ def _padded(condition: Condition, rows: int, inputs: int):
     return jnp.pad(matrix, ((0, pad), (0, inputs - matrix.shape[1]))), jnp.pad(-value, (0, pad))
 
 
-def _at_points(problem: OptimalControlProblem, index: int, z, linear: Linearisation):
+def _at_points(problem: ScaledTimeProblem, index: int, z, linear: Linearisation):
     """(matrix, offset) with offset - matrix w in the cone, (nodes, points, rows, ...).
 
     Inactive points get rows that always hold. The last node has no interval: its rows hold constraints at nodes alone;
@@ -164,37 +164,37 @@ def _at_points(problem: OptimalControlProblem, index: int, z, linear: Linearisat
     return jnp.concatenate([matrix, last_matrix]), jnp.concatenate([offset, last_offset])
 
 
-def _at_last_node(problem: OptimalControlProblem, constraint: Constraint, z, matrix: Array, offset: Array):
+def _at_last_node(problem: ScaledTimeProblem, constraint: PathConstraint, z, matrix: Array, offset: Array):
     """Rows of a constraint at the last node, in place of the given inactive ones."""
-    parameters = jax.tree.map(lambda p: p[-1], constraint.parameters)
+    parameters = jax.tree.map(lambda p: p[-1], constraint.node_parameters())
     states, stage = problem.state_size, problem.variables
 
     def value(v):
-        return value_at(problem, constraint, v[:states], v[states:], parameters)
+        return problem.value_at(constraint, v[:states], v[states:], parameters)
 
-    active, jacobian, here = constraint.active[-1], jax.jacfwd(value)(z), value(z)
+    active, jacobian, here = constraint.active_at_locations(1)[-1, 0], jax.jacfwd(value)(z), value(z)
     matrix = matrix.at[0, 0, :, :stage].set(jnp.where(active, -jacobian, 0.0))
     return matrix, offset.at[0, 0].set(jnp.where(active, here, offset[0, 0]))
 
 
-def _half_spaces(problem: OptimalControlProblem, index: int, z, linear: Linearisation):
+def _half_spaces(problem: ScaledTimeProblem, index: int, z, linear: Linearisation):
     matrix, offset = _at_points(problem, index, z, linear)
     return matrix.reshape(problem.nodes, -1, matrix.shape[-1]), offset.reshape(problem.nodes, -1)
 
 
-def _dilation_limits(problem: OptimalControlProblem, z, inputs: int):
-    unit = jnp.zeros(inputs, z.dtype).at[problem.variables - 1].set(1.0)
-    matrix = jnp.broadcast_to(jnp.stack([-unit, unit]), (problem.nodes, 2, inputs))
-    return matrix, jnp.stack([z[:, -1] - problem.dilation_min, problem.dilation_max - z[:, -1]], axis=1)
+def _node_limits(problem: ScaledTimeProblem, z, inputs: int):
+    jacobian = problem.node_limits_jacobian(z.dtype)
+    matrix = -jnp.pad(jacobian, ((0, 0), (0, inputs - jacobian.shape[1])))
+    return jnp.broadcast_to(matrix, (problem.nodes, *matrix.shape)), problem.node_limits(z)
 
 
-def _buffered_rows(problem: OptimalControlProblem, linear: Linearisation) -> Float[Array, "rows"]:
+def _buffered_rows(problem: ScaledTimeProblem, linear: Linearisation) -> Float[Array, "rows"]:
     """One for each row of a nonconvex constraint, zero for the others."""
     parts = [
         jnp.full(linear.outputs.values[i][0].size, float(not problem.constraints[i].convex))
         for i in _by_cone(problem).nonnegative
     ]
-    return jnp.concatenate([*parts, jnp.zeros(2)])
+    return jnp.concatenate([*parts, jnp.zeros(2 + problem.slacks)])
 
 
 def _with_buffer(program: StagedProgram, rows: Float[Array, "rows"], weight: float) -> StagedProgram:

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from jaxscp.core import batching
 from jaxscp.core.types import Count, Flag, Scalar
-from jaxscp.problem.problem import OptimalControlProblem
+from jaxscp.problem.scaled_time import ScaledTimeProblem
 from jaxscp.scp.active_set import active_set, slacks
 from jaxscp.scp.convex_model import ConvexModel
 from jaxscp.scp.second_order_correction import Correction, Target, corrected, correction
@@ -75,7 +75,7 @@ class LineSearch(eqx.Module):
 
 def line_search(
     settings: NewtonSettings,
-    problem: OptimalControlProblem,
+    problem: ScaledTimeProblem,
     state: NewtonState,
     model: ConvexModel,
     qp: SubproblemSolution,

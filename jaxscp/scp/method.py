@@ -10,7 +10,7 @@ from jaxscp.core.status import StatusCode
 from jaxscp.core.types import Count, Flag, Scalar
 from jaxscp.problem.form import Form
 from jaxscp.problem.multipliers import Multipliers
-from jaxscp.problem.problem import OptimalControlProblem
+from jaxscp.problem.scaled_time import ScaledTimeProblem
 from jaxscp.scp.history import History
 from jaxscp.transcription.shooting import Grid
 
@@ -51,7 +51,7 @@ class Method(Protocol):
         """Points of an interval at which its constraints hold; None if they hold at the nodes only."""
         ...
 
-    def init(self, problem: OptimalControlProblem, z: Float[Array, "nodes variables"]) -> Any:
+    def init(self, problem: ScaledTimeProblem, z: Float[Array, "nodes variables"]) -> Any:
         """State before the first iteration, from a guess."""
         ...
 
@@ -60,19 +60,19 @@ class Method(Protocol):
         ...
 
     def run(
-        self, problem: OptimalControlProblem, z: Float[Array, "nodes variables"], enabled: Flag | bool = True
+        self, problem: ScaledTimeProblem, z: Float[Array, "nodes variables"], enabled: Flag | bool = True
     ) -> Any:
         """Last state from a guess; a batch element that is not enabled takes no step."""
         ...
 
-    def result(self, problem: OptimalControlProblem, state: Any) -> MethodResult:
+    def result(self, problem: ScaledTimeProblem, state: Any) -> MethodResult:
         """Result of the last state, as a function of the problem."""
         ...
 
 
 def iterate(
     method: Method,
-    problem: OptimalControlProblem,
+    problem: ScaledTimeProblem,
     z: Float[Array, "nodes variables"],
     enabled: Flag | bool = True,
 ) -> MethodResult:

@@ -22,7 +22,8 @@ from jaxscp.core.types import Flag, Scalar
 from jaxscp.nlp.central_path import Point
 from jaxscp.nlp.sensitivity import implicit_solution
 from jaxscp.problem.form import Continuous, Form
-from jaxscp.problem.problem import OptimalControlProblem, terminal_cost, typical_sizes
+from jaxscp.problem.node_values import typical_sizes
+from jaxscp.problem.scaled_time import ScaledTimeProblem
 from jaxscp.scp.acceptance import accept_or_reject
 from jaxscp.scp.active_set import near_limits
 from jaxscp.scp.convergence import check_convergence
@@ -81,10 +82,10 @@ class NewtonSCP(NewtonSettings):
         """True."""
         return True
 
-    def result(self, problem: OptimalControlProblem, state: NewtonState) -> MethodResult:
+    def result(self, problem: ScaledTimeProblem, state: NewtonState) -> MethodResult:
         """Result of the last state, with derivatives by the implicit function theorem."""
         point = implicit_solution(problem, Point(state.z, state.multipliers), self.grid, state.is_optimum)
-        cost = jnp.sum(evaluate(problem, point.z, self.grid).cost) + terminal_cost(problem, point.z)
+        cost = jnp.sum(evaluate(problem, point.z, self.grid).cost) + problem.terminal_cost(point.z)
         return MethodResult(
             z=point.z,
             cost=cost,
@@ -96,7 +97,7 @@ class NewtonSCP(NewtonSettings):
             history=state.history,
         )
 
-    def init(self, problem: OptimalControlProblem, z: Float[Array, "nodes variables"]) -> NewtonState:
+    def init(self, problem: ScaledTimeProblem, z: Float[Array, "nodes variables"]) -> NewtonState:
         """State before the first subproblem, from a guess."""
         check(problem)
         multipliers = no_multipliers(problem, z, self.grid)
@@ -125,7 +126,7 @@ class NewtonSCP(NewtonSettings):
         )
 
     def step(
-        self, problem: OptimalControlProblem, state: NewtonState, tolerance_factor: Scalar | float = 1.0
+        self, problem: ScaledTimeProblem, state: NewtonState, tolerance_factor: Scalar | float = 1.0
     ) -> NewtonState:
         """One iteration; the loop may end where ``tolerance_factor`` times the tolerances are met."""
         model = convex_model(problem, state)
@@ -139,7 +140,7 @@ class NewtonSCP(NewtonSettings):
         return state.done | (state.iterations >= self.max_iterations)
 
     def run(
-        self, problem: OptimalControlProblem, z: Float[Array, "nodes variables"], enabled: Flag | bool = True
+        self, problem: ScaledTimeProblem, z: Float[Array, "nodes variables"], enabled: Flag | bool = True
     ) -> NewtonState:
         """Iterate from a guess to the optimum; a batch element that is not enabled takes no step.
 
@@ -161,14 +162,14 @@ class NewtonSCP(NewtonSettings):
         end, _ = jax.lax.scan(attempt, start, jnp.array(TOLERANCE_FACTORS))
         return batching.where_needed(~end.is_optimum, self.restore_dynamics, problem, end)
 
-    def switch_to_interior_point(self, problem: OptimalControlProblem, state: NewtonState) -> NewtonState:
+    def switch_to_interior_point(self, problem: ScaledTimeProblem, state: NewtonState) -> NewtonState:
         """The optimum close to the last iterate, if the interior point finds it; else the state as it is."""
         found = self.interior.run(problem, state.z, state.multipliers, self.grid, state.close_to_optimum)
         is_optimum = state.close_to_optimum & self.interior.is_optimum(found)
         z, multipliers = jax.tree.map(
             lambda a, b: jnp.where(is_optimum, a, b), (found.z, found.y), (state.z, state.multipliers)
         )
-        cost = jnp.sum(evaluate(problem, z, self.grid).cost) + terminal_cost(problem, z)
+        cost = jnp.sum(evaluate(problem, z, self.grid).cost) + problem.terminal_cost(z)
         return eqx.tree_at(
             lambda s: (
                 s.z,
@@ -193,7 +194,7 @@ class NewtonSCP(NewtonSettings):
             ),
         )
 
-    def restore_dynamics(self, problem: OptimalControlProblem, state: NewtonState) -> NewtonState:
+    def restore_dynamics(self, problem: ScaledTimeProblem, state: NewtonState) -> NewtonState:
         """Reduce the remaining defects and end residuals by Newton's method, with a penalty on leaving limits.
 
         The last round has a lower penalty: with too many conditions near a limit, the dynamics need some slack.

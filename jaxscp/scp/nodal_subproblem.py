@@ -8,8 +8,8 @@ from jaxtyping import Array, Float
 from jaxscp.cones.kinds import by_cone
 from jaxscp.conic.program import Cones, CouplingRows, HalfSpaceRows, NormCost, StagedProgram
 from jaxscp.core.types import Scalar
-from jaxscp.problem.constraint import Constraint
-from jaxscp.problem.problem import Boundary, OptimalControlProblem, terminal_cost
+from jaxscp.problem.end_conditions import Condition, linearised_ends
+from jaxscp.problem.scaled_time import PathConstraint, ScaledTimeProblem
 from jaxscp.transcription.discretise import Discretisation
 
 PAPER_NODES = 30
@@ -75,7 +75,7 @@ class LinearCost(eqx.Module):
 
 
 def nodal_subproblem(
-    problem: OptimalControlProblem,
+    problem: ScaledTimeProblem,
     reference: Float[Array, "nodes variables"],
     flow: Discretisation,
     trust_region: TrustRegion,
@@ -105,7 +105,7 @@ def nodal_subproblem(
     linear = [_linear_constraint(problem, c, reference) for c in problem.constraints]
     kinds = by_cone(c.cone for c in problem.constraints)
     rows = [linear[i] for i in kinds.nonnegative]
-    rows.append(_dilation_limits(problem, reference))
+    rows.append(_node_limits(problem, reference))
     links = _coupling(problem, reference, flow, virtual_weight)
     for i in kinds.zero:
         links = _with_equalities(links, *linear[i])
@@ -125,14 +125,14 @@ def nodal_subproblem(
 
 
 def linear_cost(
-    problem: OptimalControlProblem, reference: Float[Array, "nodes variables"], flow: Discretisation
+    problem: ScaledTimeProblem, reference: Float[Array, "nodes variables"], flow: Discretisation
 ) -> LinearCost:
     """Running and terminal cost, linearised about the reference."""
     n = problem.variables
-    terminal, gradient = jax.value_and_grad(lambda z: terminal_cost(problem, z))(reference)
+    terminal, gradient = jax.value_and_grad(problem.terminal_cost)(reference)
     if problem.carries_cost:
         return LinearCost(
-            gradient.at[-1, problem.dynamics.state_size].add(1.0), terminal - jnp.vdot(gradient, reference)
+            gradient.at[-1, problem.dynamic_states].add(1.0), terminal - jnp.vdot(gradient, reference)
         )
     gradient = gradient.at[:-1].add(flow.cost_jacobian[:, :n])
     gradient = gradient.at[1:, problem.state_size :].add(flow.cost_jacobian[:, n:])
@@ -140,13 +140,14 @@ def linear_cost(
 
 
 def _linear_constraint(
-    problem: OptimalControlProblem, constraint: Constraint, reference: Float[Array, "nodes variables"]
+    problem: ScaledTimeProblem, constraint: PathConstraint, reference: Float[Array, "nodes variables"]
 ) -> tuple[Array, Array]:
     """(matrix, value - matrix zref) of a constraint at every node; rows that always hold where inactive."""
 
+    states = problem.state_size
+
     def value(z, parameters):
-        state, time, control, _ = problem.split(z)
-        return constraint.function(state, control, time, parameters)
+        return problem.value_at(constraint, z[:states], z[states:], parameters)
 
     def at_node(z: Array, parameters, active: Array):
         matrix: Array = jax.jacfwd(value)(z, parameters)
@@ -154,16 +155,15 @@ def _linear_constraint(
         offset: Array = jnp.where(active, v - matrix @ z, constraint.cone.inactive_value(v))
         return jnp.where(active, matrix, 0.0), offset
 
-    return jax.vmap(at_node)(reference, constraint.parameters, constraint.active)
+    return jax.vmap(at_node)(reference, constraint.node_parameters(), constraint.active)
 
 
-def _dilation_limits(
-    problem: OptimalControlProblem, reference: Float[Array, "nodes variables"]
+def _node_limits(
+    problem: ScaledTimeProblem, reference: Float[Array, "nodes variables"]
 ) -> tuple[Array, Array]:
-    last = jnp.zeros(problem.variables, reference.dtype).at[-1].set(1.0)
-    matrix = jnp.broadcast_to(jnp.stack([last, -last]), (problem.nodes, 2, problem.variables))
-    offset = jnp.stack([-problem.dilation_min, problem.dilation_max])
-    return matrix, jnp.broadcast_to(offset, (problem.nodes, 2))
+    matrix = problem.node_limits_jacobian(reference.dtype)
+    offset = problem.node_limits(jnp.zeros_like(reference))
+    return jnp.broadcast_to(matrix, (problem.nodes, *matrix.shape)), offset
 
 
 def _negate_matrix(pair: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -171,15 +171,10 @@ def _negate_matrix(pair: tuple[Array, Array]) -> tuple[Array, Array]:
     return -matrix, offset
 
 
-def _linear_boundary(problem: OptimalControlProblem, boundary: Boundary, z: Float[Array, "variables"]):
-    """(matrix, right-hand side) of a boundary condition linearised at one node."""
-
-    def value(z):
-        state, time, _, _ = problem.split(z)
-        return boundary.function(state, time, boundary.parameters)
-
-    matrix = jax.jacfwd(value)(z)
-    return matrix, matrix @ z - value(z)
+def _linear_end(condition: Condition, z: Float[Array, "variables"]):
+    """(matrix, right-hand side) of the conditions at one end, from their linearisation at its node."""
+    matrix = _padded(condition.jacobian, 1, z.shape[0])
+    return matrix, matrix @ z - condition.value
 
 
 def _padded(a: Array, axis: int, size: int) -> Array:
@@ -188,7 +183,7 @@ def _padded(a: Array, axis: int, size: int) -> Array:
 
 
 def _coupling(
-    problem: OptimalControlProblem,
+    problem: ScaledTimeProblem,
     reference: Float[Array, "nodes variables"],
     flow: Discretisation,
     virtual_weight: float,
@@ -200,12 +195,9 @@ def _coupling(
         A x_i + B- u_i + (B+ u_{i+1} - x_{i+1}) + nu = A xref + B- uref + B+ uref+ - F
     """
     n, states, dtype = problem.variables, problem.state_size, reference.dtype
-    initial, initial_rhs = _linear_boundary(problem, problem.initial, reference[0])
-    final, final_rhs = _linear_boundary(problem, problem.final, reference[-1])
-    # running cost and time start at zero
-    zero_start = jnp.eye(n, dtype=dtype)[problem.dynamics.state_size : states]
-    initial = jnp.concatenate([initial, zero_start])
-    initial_rhs = jnp.concatenate([initial_rhs, jnp.zeros(zero_start.shape[0], dtype)])
+    at_start, at_end = linearised_ends(problem, reference)
+    initial, initial_rhs = _linear_end(at_start, reference[0])
+    final, final_rhs = _linear_end(at_end, reference[-1])
     m = max(states, initial.shape[0], final.shape[0])
 
     jacobian = flow.state_jacobian
@@ -216,7 +208,7 @@ def _coupling(
     rhs = jnp.einsum("irw,iw->ir", jacobian, w) - flow.state
 
     zero_matrix, zero_rhs = jnp.zeros((1, m, n), dtype), jnp.zeros((1, m), dtype)
-    soft = jnp.zeros((m,), dtype).at[: problem.dynamics.state_size].set(1.0)
+    soft = jnp.zeros((m,), dtype).at[: problem.dynamic_states].set(1.0)
     soft = jnp.concatenate([zero_rhs, jnp.broadcast_to(soft, (problem.nodes - 1, m)), zero_rhs])
     before = jnp.concatenate([zero_matrix, _padded(before, 1, m), _padded(final, 0, m)[None]])
     after = jnp.concatenate([_padded(initial, 0, m)[None], _padded(after, 1, m), zero_matrix])

@@ -16,7 +16,8 @@ from jaxscp.core.status import Status, StatusCode, usable
 from jaxscp.core.types import Count, Flag, Scalar
 from jaxscp.nlp.sensitivity import without_derivative
 from jaxscp.problem.form import Form, Paper
-from jaxscp.problem.problem import OptimalControlProblem, node_times
+from jaxscp.problem.node_values import node_times
+from jaxscp.problem.scaled_time import ScaledTimeProblem
 from jaxscp.scp.history import History
 from jaxscp.scp.method import MethodResult
 from jaxscp.scp.nodal_subproblem import NormTrustRegion, TrustRegion, nodal_subproblem
@@ -86,7 +87,7 @@ class PTR(eqx.Module):
         """None: constraints hold at the nodes."""
         return None
 
-    def result(self, problem: OptimalControlProblem, state: PTRState) -> MethodResult:
+    def result(self, problem: ScaledTimeProblem, state: PTRState) -> MethodResult:
         """Result of the last state. It is not differentiable: the stopping point depends on the guess."""
         z, cost = without_derivative(state.z, problem), without_derivative(state.cost, problem)
         return MethodResult(
@@ -100,7 +101,7 @@ class PTR(eqx.Module):
             history=state.history,
         )
 
-    def init(self, problem: OptimalControlProblem, z: Float[Array, "nodes variables"]) -> PTRState:
+    def init(self, problem: ScaledTimeProblem, z: Float[Array, "nodes variables"]) -> PTRState:
         """State before the first subproblem, from a guess."""
         flow = discretise(problem, z, self.substeps)
         return PTRState(
@@ -114,7 +115,7 @@ class PTR(eqx.Module):
             multipliers=ConicMultipliers.zeros(jax.eval_shape(lambda: self._program(problem, z, flow)[0])),
         )
 
-    def step(self, problem: OptimalControlProblem, state: PTRState) -> PTRState:
+    def step(self, problem: ScaledTimeProblem, state: PTRState) -> PTRState:
         """Solve one subproblem; its solution is the next reference."""
         program, cost = self._program(problem, state.z, state.flow)
         # a batch element that has ended is in the chunk only to fill it
@@ -162,9 +163,7 @@ class PTR(eqx.Module):
         of_step = jnp.maximum(FINAL_FORCING, FORCING_OF_STEP * last**2)
         return jnp.where(state.iterations == 0, most, jnp.minimum(most, of_step))
 
-    def _program(
-        self, problem: OptimalControlProblem, z: Float[Array, "nodes variables"], flow: Discretisation
-    ):
+    def _program(self, problem: ScaledTimeProblem, z: Float[Array, "nodes variables"], flow: Discretisation):
         return nodal_subproblem(problem, z, flow, self.trust_region, self.virtual_weight)
 
     def terminate(self, state: PTRState) -> Flag:
@@ -172,7 +171,7 @@ class PTR(eqx.Module):
         return state.done | (state.iterations >= self.max_iterations)
 
     def run(
-        self, problem: OptimalControlProblem, z: Float[Array, "nodes variables"], enabled: Flag | bool = True
+        self, problem: ScaledTimeProblem, z: Float[Array, "nodes variables"], enabled: Flag | bool = True
     ) -> PTRState:
         """Iterate from a guess to the end; a batch element that is not enabled takes no step."""
         start = self.init(problem, z)
@@ -187,8 +186,8 @@ def _stagnates(virtual_control: Scalar, state: PTRState) -> Flag:
 
 
 def largest_defect(
-    problem: OptimalControlProblem, z: Float[Array, "nodes variables"], flow: Discretisation
+    problem: ScaledTimeProblem, z: Float[Array, "nodes variables"], flow: Discretisation
 ) -> Scalar:
     """Largest norm over the intervals of F(z_i) - x_{i+1}, physical states only."""
-    n = problem.dynamics.state_size
+    n = problem.dynamic_states
     return jnp.max(jnp.linalg.norm(flow.state[:, :n] - z[1:, :n], axis=1))

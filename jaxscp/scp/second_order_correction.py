@@ -11,7 +11,8 @@ from jaxtyping import Array, Float
 
 from jaxscp.core.types import Scalar
 from jaxscp.linalg import riccati
-from jaxscp.problem.problem import OptimalControlProblem, end_residuals
+from jaxscp.problem.end_conditions import end_residuals
+from jaxscp.problem.scaled_time import ScaledTimeProblem
 from jaxscp.scp.active_set import ActiveSet, slacks
 from jaxscp.transcription.layout import sum_onto_nodes
 from jaxscp.transcription.shooting import Grid, Linearisation, evaluate
@@ -47,7 +48,7 @@ class Target(eqx.Module):
 
 
 def correction(
-    problem: OptimalControlProblem,
+    problem: ScaledTimeProblem,
     linear: Linearisation,
     active: ActiveSet,
     metric: Float[Array, "intervals inputs inputs"],
@@ -82,7 +83,7 @@ def correction(
 
 
 def corrected(
-    problem: OptimalControlProblem,
+    problem: ScaledTimeProblem,
     candidate: Float[Array, "nodes variables"],
     by: Correction,
     grid: Grid,

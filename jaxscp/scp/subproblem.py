@@ -8,12 +8,12 @@ from jaxtyping import Array, Float
 from jaxscp.conic.program import ConicMultipliers, ConicSolution, WarmStart
 from jaxscp.core.types import Flag, Scalar
 from jaxscp.problem.multipliers import Multipliers
-from jaxscp.problem.problem import OptimalControlProblem
+from jaxscp.problem.scaled_time import ScaledTimeProblem
 from jaxscp.scp.convex_model import ConvexModel
 from jaxscp.scp.interval_subproblem import has_buffer, interval_program, nlp_multipliers, node_step
 from jaxscp.scp.state import NewtonSettings, NewtonState
 from jaxscp.transcription.lagrangian import Merit, Residual
-from jaxscp.transcription.layout import cost_gradient, interval_inputs
+from jaxscp.transcription.layout import cost_gradient, interval_variables
 
 FORCING_FACTOR = 0.1  # of the accuracy, from a subproblem to the next
 ROUNDING = 1e-7  # relative error of the cost at the subproblem's tolerance
@@ -40,7 +40,7 @@ class SubproblemSolution(eqx.Module):
 
 def solve_subproblem(
     settings: NewtonSettings,
-    problem: OptimalControlProblem,
+    problem: ScaledTimeProblem,
     state: NewtonState,
     model: ConvexModel,
     done: Flag,
@@ -79,12 +79,12 @@ def forcing_term(settings: NewtonSettings, state: NewtonState) -> Scalar:
 
 
 def _predicted_residual(
-    problem: OptimalControlProblem, state: NewtonState, stages, step, virtual_control
+    problem: ScaledTimeProblem, state: NewtonState, stages, step, virtual_control
 ) -> Residual:
     """Residual after the step, by the model: feasible but for virtual control and virtual buffer."""
     gradient = cost_gradient(problem, state.z, state.linear.jacobian.cost)
     slope = jnp.vdot(gradient, stages[:, : gradient.shape[1]])
-    w = interval_inputs(problem, step)
+    w = interval_variables(problem, step)
     now = state.residual
     cost = now.cost + slope + 0.5 * jnp.einsum("iw,iwv,iv->", w, state.hessian, w)
     buffer = -stages[:-1, -1:, None] if has_buffer(problem) else jnp.zeros(())
@@ -96,7 +96,7 @@ def _predicted_residual(
     return Residual(cost, virtual_control, values, *ends)
 
 
-def no_conic_multipliers(problem: OptimalControlProblem, z: Float[Array, "nodes variables"], linear):
+def no_conic_multipliers(problem: ScaledTimeProblem, z: Float[Array, "nodes variables"], linear):
     """Multipliers of zero for the rows of a subproblem."""
     inputs = linear.jacobian.end.shape[-1]
     like = lambda *shape: jax.ShapeDtypeStruct((problem.nodes, *shape), z.dtype)  # noqa: E731

@@ -8,10 +8,11 @@ from jaxscp.aot import load as aot_load
 
 if TYPE_CHECKING:
     from jaxscp.aot.aot import CompiledPlanner
+    from jaxscp.solver.compiled import CompiledSolver
 
 
-def load(file: str | os.PathLike, *, compile: bool = True) -> "CompiledPlanner":
-    """The planner that ``Planner.export`` wrote: it traces nothing, and compiles nothing on the machine of its export.
+def load(file: str | os.PathLike, *, compile: bool = True) -> "CompiledPlanner | CompiledSolver":
+    """What ``Planner.export`` or ``Solver.export`` wrote; it traces nothing, and on its own machine compiles nothing.
 
     The file holds machine code, which a call runs: load only files that you would run as a program. The code is used if
     jax, jaxlib, device and the processor's instruction sets are the same as at the export; solutions then equal the
@@ -26,6 +27,16 @@ def load(file: str | os.PathLike, *, compile: bool = True) -> "CompiledPlanner":
         InvalidExport: if the file is no such file, of another format or for another platform, or JAX is in float32.
         OSError: if the file cannot be read.
     """
+    compiled = load_planner(file, compile=compile)
+    if "entries" not in compiled.scenario:
+        return compiled
+    from jaxscp.solver.compiled import CompiledSolver  # of a file that ``Solver.export`` wrote
+
+    return CompiledSolver(compiled, compiled.scenario)
+
+
+def load_planner(file: str | os.PathLike, *, compile: bool = True) -> "CompiledPlanner":
+    """The compiled programs in a file."""
     return aot_load.load(file, _solution_classes, compile=compile)
 
 

@@ -12,8 +12,14 @@ from jaxtyping import Array, Float
 
 from jaxscp.integration import dispatch, tableaus
 from jaxscp.integration.intervals import Intervals, controls_at, without_data
-from jaxscp.problem.problem import OptimalControlProblem
-from jaxscp.transcription.layout import interval_inputs
+from jaxscp.problem.scaled_time import ScaledTimeProblem
+from jaxscp.transcription.interval_inputs import (
+    in_variables,
+    integration_inputs,
+    last_value_cost,
+    last_value_hessian,
+)
+from jaxscp.transcription.layout import interval_variables
 
 METHOD = tableaus.CLASSICAL
 
@@ -35,7 +41,7 @@ class Discretisation(eqx.Module):
 
 @eqx.filter_jit  # traced once for all calls of one program
 def discretise(
-    problem: OptimalControlProblem, z: Float[Array, "nodes variables"], substeps: int
+    problem: ScaledTimeProblem, z: Float[Array, "nodes variables"], substeps: int
 ) -> Discretisation:
     """Linearise the flow over every interval about the reference z.
 
@@ -44,13 +50,18 @@ def discretise(
         z: reference, (nodes, variables).
         substeps: RK4 steps an interval; the error falls with their fourth power.
     """
-    w = interval_inputs(problem, z)
+    w = integration_inputs(problem, z)
     intervals = Intervals(problem.slope, problem.state_size, METHOD, substeps, substeps)
     found, jacobian = dispatch.linearise(intervals, w, without_data(intervals, w.shape[0]))
-    return Discretisation(found.end, found.cost, jacobian.end, jacobian.cost)
+    cost, slope = found.cost, in_variables(problem, jacobian.cost)
+    if problem.zero_order_hold:
+        last = interval_variables(problem, z)[-1]
+        cost = cost.at[-1].add(last_value_cost(problem, last))
+        slope = slope.at[-1].add(last_value_hessian(problem) @ last)
+    return Discretisation(found.end, cost, in_variables(problem, jacobian.end), slope)
 
 
-def propagate(problem: OptimalControlProblem, z: Float[Array, "nodes variables"], substeps: int):
+def propagate(problem: ScaledTimeProblem, z: Float[Array, "nodes variables"], substeps: int):
     """End states and running costs of every interval, without derivatives."""
     n = problem.state_size
 
@@ -58,5 +69,5 @@ def propagate(problem: OptimalControlProblem, z: Float[Array, "nodes variables"]
         rate = lambda share, extended: problem.slope(extended[:n], controls_at(w, n, share))  # noqa: E731
         return tableaus.integrate(METHOD, rate, jnp.append(w[:n], 0.0), substeps)[-1]
 
-    ends = jax.vmap(end)(interval_inputs(problem, z))
+    ends = jax.vmap(end)(integration_inputs(problem, z))
     return ends[:, :n], ends[:, n]

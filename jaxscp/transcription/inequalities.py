@@ -7,29 +7,28 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxscp.cones.cone import NonNegative, SymmetricCone
-from jaxscp.problem.constraint import Constraint
-from jaxscp.problem.problem import OptimalControlProblem
+from jaxscp.problem.scaled_time import PathConstraint, ScaledTimeProblem
 from jaxscp.transcription.layout import sum_onto_nodes
-from jaxscp.transcription.shooting import Linearisation, Outputs, value_at
+from jaxscp.transcription.shooting import Linearisation, Outputs
 
 Values = tuple[Float[Array, "_ _ _"], ...]
-"""(locations, points, rows) of every constraint, then (nodes, 1, 2): the limits of every node's dilation."""
+"""(locations, points, rows) of every constraint, then (nodes, 1, limits): the ``node_limits``."""
 Jacobians = tuple[Float[Array, "_ _ _ _"], ...]
 """With respect to the variables of an interval or node, which are the last axis."""
 
 
-def cones(problem: OptimalControlProblem) -> tuple[SymmetricCone, ...]:
+def cones(problem: ScaledTimeProblem) -> tuple[SymmetricCone, ...]:
     """The cone of each of ``inequalities``."""
     return (*(cast(SymmetricCone, c.cone) for c in problem.constraints), NonNegative())
 
 
-def at_nodes(problem: OptimalControlProblem) -> tuple[bool, ...]:
+def at_nodes(problem: ScaledTimeProblem) -> tuple[bool, ...]:
     """Whether the locations of each of ``inequalities`` are nodes."""
     return (*(c.where.nodal for c in problem.constraints), True)
 
 
 def inequalities(
-    problem: OptimalControlProblem,
+    problem: ScaledTimeProblem,
     z: Float[Array, "nodes variables"],
     outputs: Outputs,
     relaxation: float = 0.0,
@@ -42,43 +41,43 @@ def inequalities(
         identity = cone.identity(values.shape[-1])
         active = constraint.active_at_locations(values.shape[1])[:, :, None]
         parts.append(jnp.where(active, values + relaxation * identity, identity))
-    limits = jnp.stack([z[:, -1] - problem.dilation_min, problem.dilation_max - z[:, -1]], axis=1)
-    return (*parts, limits[:, None] + relaxation)
+    return (*parts, problem.node_limits(z)[:, None] + relaxation)
 
 
 def jacobians(
-    problem: OptimalControlProblem, z: Float[Array, "nodes variables"], linear: Linearisation
+    problem: ScaledTimeProblem, z: Float[Array, "nodes variables"], linear: Linearisation
 ) -> Jacobians:
     """Jacobians of ``inequalities``."""
     parts = []
     for constraint, jacobian in zip(problem.constraints, linear.jacobian.values, strict=True):
         if constraint.where.nodal:
             at = lambda v, p, c=constraint: _at_node(problem, c, v, p)  # noqa: E731
-            jacobian = jax.vmap(jax.jacfwd(at))(z, constraint.parameters)
+            jacobian = jax.vmap(jax.jacfwd(at))(z, constraint.node_parameters())
         active = constraint.active_at_locations(jacobian.shape[1])[:, :, None, None]
         parts.append(jnp.where(active, jacobian, 0.0))
-    upward = jnp.zeros(z.shape[1], z.dtype).at[-1].set(1.0)
-    limits = jnp.broadcast_to(jnp.stack([upward, -upward]), (z.shape[0], 1, 2, z.shape[1]))
-    return (*parts, limits)
+    limits = problem.node_limits_jacobian(z.dtype)
+    return (*parts, jnp.broadcast_to(limits, (z.shape[0], 1, *limits.shape)))
 
 
 def node_hessians(
-    problem: OptimalControlProblem, z: Float[Array, "nodes variables"], multipliers: Values
+    problem: ScaledTimeProblem, z: Float[Array, "nodes variables"], multipliers: Values
 ) -> Float[Array, "nodes variables variables"]:
     """Second derivatives of - y . g, of the constraints at nodes alone."""
     total = jnp.zeros((*z.shape, z.shape[1]), z.dtype)
     for constraint, y in zip(problem.constraints, multipliers[:-1], strict=True):
         if constraint.where.nodal:
-            active = constraint.active[:, None, None]
+            active = constraint.active_at_locations(1)[:, :, None]
 
             def product(v, p, y, c=constraint):
                 return -jnp.vdot(y, _at_node(problem, c, v, p))
 
-            total += active.astype(z.dtype) * jax.vmap(jax.hessian(product))(z, constraint.parameters, y)
+            total += active.astype(z.dtype) * jax.vmap(jax.hessian(product))(
+                z, constraint.node_parameters(), y
+            )
     return total
 
 
-def transpose_product(problem: OptimalControlProblem, jacobians: Jacobians, multipliers: Values):
+def transpose_product(problem: ScaledTimeProblem, jacobians: Jacobians, multipliers: Values):
     """Sum of y' dg over all inequalities, by node variables."""
     total = jnp.zeros((problem.nodes, problem.variables), multipliers[-1].dtype)
     for jacobian, y, nodal in zip(jacobians, multipliers, at_nodes(problem), strict=True):
@@ -88,11 +87,11 @@ def transpose_product(problem: OptimalControlProblem, jacobians: Jacobians, mult
 
 
 def _at_node(
-    problem: OptimalControlProblem, constraint: Constraint, v: Float[Array, "variables"], parameters
+    problem: ScaledTimeProblem, constraint: PathConstraint, v: Float[Array, "variables"], parameters
 ):
     n = problem.state_size
-    return value_at(problem, constraint, v[:n], v[n:], parameters)[None]
+    return problem.value_at(constraint, v[:n], v[n:], parameters)[None]
 
 
-def _at_nodes(problem: OptimalControlProblem, constraint: Constraint, z: Float[Array, "nodes variables"]):
-    return jax.vmap(lambda v, p: _at_node(problem, constraint, v, p))(z, constraint.parameters)
+def _at_nodes(problem: ScaledTimeProblem, constraint: PathConstraint, z: Float[Array, "nodes variables"]):
+    return jax.vmap(lambda v, p: _at_node(problem, constraint, v, p))(z, constraint.node_parameters())

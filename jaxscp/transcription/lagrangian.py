@@ -11,15 +11,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxscp.core.types import Scalar
+from jaxscp.problem.end_conditions import end_residuals
 from jaxscp.problem.multipliers import Multipliers
-from jaxscp.problem.problem import OptimalControlProblem, end_residuals, terminal_cost
+from jaxscp.problem.scaled_time import ScaledTimeProblem
 from jaxscp.transcription.inequalities import inequalities
 from jaxscp.transcription.shooting import Grid, Outputs, evaluate
 
 
-def no_multipliers(
-    problem: OptimalControlProblem, z: Float[Array, "nodes variables"], grid: Grid
-) -> Multipliers:
+def no_multipliers(problem: ScaledTimeProblem, z: Float[Array, "nodes variables"], grid: Grid) -> Multipliers:
     """Multipliers of zero."""
 
     def like(z):
@@ -30,7 +29,7 @@ def no_multipliers(
 
 
 def lagrangian(
-    problem: OptimalControlProblem,
+    problem: ScaledTimeProblem,
     z: Float[Array, "nodes variables"],
     outputs: Outputs,
     y: Multipliers,
@@ -38,7 +37,7 @@ def lagrangian(
 ) -> Scalar:
     """L at a point with the given outputs of its intervals; every inequality is moved inwards by ``relaxation``."""
     initial, final = end_residuals(problem, z)
-    total = jnp.sum(outputs.cost) + terminal_cost(problem, z)
+    total = jnp.sum(outputs.cost) + problem.terminal_cost(z)
     total += jnp.vdot(y.flow, outputs.end - z[1:, : problem.state_size])
     total += jnp.vdot(y.initial, initial)
     total += jnp.vdot(y.final, final)
@@ -66,13 +65,11 @@ class Residual(eqx.Module):
         return defects + jnp.linalg.norm(self.initial) + jnp.linalg.norm(self.final)
 
 
-def residual(
-    problem: OptimalControlProblem, z: Float[Array, "nodes variables"], outputs: Outputs
-) -> Residual:
+def residual(problem: ScaledTimeProblem, z: Float[Array, "nodes variables"], outputs: Outputs) -> Residual:
     """Residual of a point with the given outputs of its intervals."""
     initial, final = end_residuals(problem, z)
     return Residual(
-        cost=jnp.sum(outputs.cost) + terminal_cost(problem, z),
+        cost=jnp.sum(outputs.cost) + problem.terminal_cost(z),
         defect=outputs.end - z[1:, : problem.state_size],
         values=outputs.values,
         initial=initial,
@@ -87,7 +84,7 @@ class Merit(eqx.Module):
     refuse good steps (Maratos effect). The augmented Lagrangian does not.
     """
 
-    problem: OptimalControlProblem
+    problem: ScaledTimeProblem
     multipliers: Multipliers
     """The same for all points that are compared."""
     weight: float
@@ -111,7 +108,7 @@ class Merit(eqx.Module):
         return total
 
 
-def worst_violation(problem: OptimalControlProblem, r: Residual) -> Scalar:
+def worst_violation(problem: ScaledTimeProblem, r: Residual) -> Scalar:
     """Largest violation of a constraint at its points, in the unit of its values; zero if there is none."""
     worst = jnp.zeros(())
     for constraint, values in zip(problem.constraints, r.values, strict=True):

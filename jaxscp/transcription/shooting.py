@@ -16,10 +16,17 @@ from jaxtyping import Array, Float
 from jaxscp.cones.cone import Cone
 from jaxscp.integration import dispatch, tableaus
 from jaxscp.integration.intervals import IntervalData, IntervalOutputs, Intervals, OutputGroup, PathOutputs
-from jaxscp.problem.constraint import Constraint
+from jaxscp.problem.end_conditions import Condition, linearised_ends
 from jaxscp.problem.multipliers import Multipliers
-from jaxscp.problem.problem import Condition, OptimalControlProblem, linearised_ends
-from jaxscp.transcription.layout import interval_inputs
+from jaxscp.problem.scaled_time import PathConstraint, ScaledTimeProblem
+from jaxscp.transcription.interval_inputs import (
+    hessian_in_variables,
+    in_variables,
+    integration_inputs,
+    last_value_cost,
+    last_value_hessian,
+)
+from jaxscp.transcription.layout import interval_variables
 
 METHOD = tableaus.SIXTH_ORDER
 RESERVE = 1.1  # factor of the margin: a path may curve more between the points than at them
@@ -72,26 +79,24 @@ class Linearisation(eqx.Module):
 
 
 @eqx.filter_jit  # traced once for all calls of one program
-def evaluate(problem: OptimalControlProblem, z: Float[Array, "nodes variables"], grid: Grid) -> Outputs:
+def evaluate(problem: ScaledTimeProblem, z: Float[Array, "nodes variables"], grid: Grid) -> Outputs:
     """Outputs of every interval."""
     data = interval_data(problem, grid)
-    found = dispatch.evaluate(intervals_of(problem, grid), interval_inputs(problem, z), data)
-    return by_constraint(problem, found)
+    found = dispatch.evaluate(intervals_of(problem, grid), integration_inputs(problem, z), data)
+    return with_last_value_cost(problem, z, by_constraint(problem, found))
 
 
 @eqx.filter_jit
-def linearise(
-    problem: OptimalControlProblem, z: Float[Array, "nodes variables"], grid: Grid
-) -> Linearisation:
+def linearise(problem: ScaledTimeProblem, z: Float[Array, "nodes variables"], grid: Grid) -> Linearisation:
     """Outputs of every interval and their Jacobians."""
     data = interval_data(problem, grid)
-    found = dispatch.linearise(intervals_of(problem, grid), interval_inputs(problem, z), data)
+    found = dispatch.linearise(intervals_of(problem, grid), integration_inputs(problem, z), data)
     return _linearisation(problem, z, *found)
 
 
 @eqx.filter_jit
 def linearise_with_hessian(
-    problem: OptimalControlProblem, z: Float[Array, "nodes variables"], y: Multipliers, grid: Grid
+    problem: ScaledTimeProblem, z: Float[Array, "nodes variables"], y: Multipliers, grid: Grid
 ) -> tuple[Linearisation, Float[Array, "intervals inputs inputs"]]:
     """Every interval linearised, and the second derivatives of the Lagrangian, one block an interval.
 
@@ -103,24 +108,42 @@ def linearise_with_hessian(
         for c, v in zip(problem.constraints, y.by_interval(), strict=True)
     )
     weights = interval_weights(problem, Outputs(y.flow, jnp.ones(problem.nodes - 1, z.dtype), values))
-    intervals, w = intervals_of(problem, grid), interval_inputs(problem, z)
+    intervals, w = intervals_of(problem, grid), integration_inputs(problem, z)
     found, jacobian, hessian = dispatch.linearise_with_hessian(
         intervals, w, interval_data(problem, grid), weights
     )
+    hessian = hessian_in_variables(problem, hessian)
+    if problem.zero_order_hold:
+        hessian = hessian.at[-1].add(last_value_hessian(problem))
     return _linearisation(problem, z, found, jacobian), hessian
 
 
 def _linearisation(
-    problem: OptimalControlProblem,
+    problem: ScaledTimeProblem,
     z: Float[Array, "nodes variables"],
     found: IntervalOutputs,
     jacobian: IntervalOutputs,
 ) -> Linearisation:
-    both = by_constraint(problem, found), by_constraint(problem, jacobian)
-    return Linearisation(*both, *linearised_ends(problem, z))
+    jacobian = jax.tree.map(lambda v: in_variables(problem, v), jacobian)
+    outputs = with_last_value_cost(problem, z, by_constraint(problem, found))
+    slopes = by_constraint(problem, jacobian)
+    if problem.zero_order_hold:
+        slope = last_value_hessian(problem) @ interval_variables(problem, z)[-1]
+        slopes = eqx.tree_at(lambda o: o.cost, slopes, slopes.cost.at[-1].add(slope))
+    return Linearisation(outputs, slopes, *linearised_ends(problem, z))
 
 
-def intervals_of(problem: OptimalControlProblem, grid: Grid) -> Intervals:
+def with_last_value_cost(
+    problem: ScaledTimeProblem, z: Float[Array, "nodes variables"], outputs: Outputs
+) -> Outputs:
+    """Outputs with the cost that draws the last controls under zero-order hold to those before."""
+    if not problem.zero_order_hold:
+        return outputs
+    cost = last_value_cost(problem, interval_variables(problem, z)[-1])
+    return eqx.tree_at(lambda o: o.cost, outputs, outputs.cost.at[-1].add(cost))
+
+
+def intervals_of(problem: ScaledTimeProblem, grid: Grid) -> Intervals:
     """The integration of a problem's intervals."""
     functions = _ConstraintValues(problem)
     groups = tuple(
@@ -132,17 +155,17 @@ def intervals_of(problem: OptimalControlProblem, grid: Grid) -> Intervals:
     return Intervals(problem.slope, problem.state_size, METHOD, grid.all_steps, grid.steps, outputs)
 
 
-def interval_data(problem: OptimalControlProblem, grid: Grid) -> IntervalData:
+def interval_data(problem: ScaledTimeProblem, grid: Grid) -> IntervalData:
     """Data of every interval: the parameters of each constraint at its first node, and the mask of the margin.
 
     The two ends of the trajectory have no margin: end conditions hold there, and a goal may lie on the floor.
     """
-    parameters = [jax.tree.map(lambda p: p[:-1], c.parameters) for c in problem.constraints]
+    parameters = [jax.tree.map(lambda p: p[:-1], c.node_parameters()) for c in problem.constraints]
     mask = jnp.ones((problem.nodes - 1, grid.subintervals + 1)).at[0, 0].set(0.0).at[-1, -1].set(0.0)
     return IntervalData(*_partition(problem, parameters), mask)
 
 
-def by_constraint(problem: OptimalControlProblem, found: IntervalOutputs) -> Outputs:
+def by_constraint(problem: ScaledTimeProblem, found: IntervalOutputs) -> Outputs:
     """Outputs of an integration (or their Jacobian), sorted by constraint."""
     rows = [n for c, n in zip(problem.constraints, _rows(problem), strict=True) if not c.where.throughout]
     points, before, values = iter(found.points), 0, []
@@ -156,7 +179,7 @@ def by_constraint(problem: OptimalControlProblem, found: IntervalOutputs) -> Out
     return Outputs(found.end, found.cost, tuple(values))
 
 
-def interval_weights(problem: OptimalControlProblem, weights: Outputs) -> IntervalOutputs:
+def interval_weights(problem: ScaledTimeProblem, weights: Outputs) -> IntervalOutputs:
     """The adjoint of ``by_constraint``: weights of an integration's outputs, from weights of ``Outputs``."""
     points, ends = _partition(problem, weights.values)
     flat = [v[:, 0] for v in ends]
@@ -164,32 +187,35 @@ def interval_weights(problem: OptimalControlProblem, weights: Outputs) -> Interv
     return IntervalOutputs(weights.end, weights.cost, points, jnp.concatenate([none, *flat], axis=1))
 
 
-def value_at(problem: OptimalControlProblem, constraint: Constraint, state, control, parameters):
-    """Values of a constraint at an extended state and a control with the dilation last."""
-    physical, time = problem.split_state(state)
-    return constraint.function(physical, control[:-1], time, parameters)
+def end_value(problem: ScaledTimeProblem, c: PathConstraint, state, first, last, parameters) -> Array:
+    """Values of an interval: at its first node, or on the controls at both ends."""
+    if c.where.across:
+        return problem.value_across(c, first, last, parameters)
+    return problem.value_at(c, state, first, parameters)
 
 
 class _ConstraintValues(eqx.Module):
     """Values of all constraints, concatenated."""
 
-    problem: OptimalControlProblem
+    problem: ScaledTimeProblem
 
     def at_point(self, state, control, parameters) -> Float[Array, "rows"]:
         """Values of the constraints that hold throughout."""
         active = [c for c in self.problem.constraints if c.where.throughout]
+        control = control[: self.problem.variables - self.problem.state_size]  # without the cost's parameters
         values = [
-            value_at(self.problem, c, state, control, p) for c, p in zip(active, parameters, strict=True)
+            self.problem.value_at(c, state, control, p) for c, p in zip(active, parameters, strict=True)
         ]
         return jnp.concatenate([jnp.zeros(0, state.dtype), *values])
 
     def at_ends(self, w, parameters) -> Float[Array, "rows"]:
         """Values of the others: at the first node, or on the controls at both ends."""
-        state, first, last = jnp.split(w, [self.problem.state_size, self.problem.variables])
-        at = *self.problem.split_state(state), 1.0 / (self.problem.nodes - 1)
+        n, own = self.problem.state_size, self.problem.variables - self.problem.state_size
+        state, first, last = jnp.split(w, [n, (n + w.shape[0]) // 2])
         others = [c for c in self.problem.constraints if not c.where.throughout]
         values = [
-            c.where.end_value(c.function, at, first, last, p) for c, p in zip(others, parameters, strict=True)
+            end_value(self.problem, c, state, first[:own], last[:own], p)
+            for c, p in zip(others, parameters, strict=True)
         ]
         return jnp.concatenate([jnp.zeros(0, w.dtype), *values])
 
@@ -209,7 +235,7 @@ class _Margin(eqx.Module):
         return self.cone.tighten(values, second_difference, mask)
 
 
-def _partition(problem: OptimalControlProblem, by_constraint):
+def _partition(problem: ScaledTimeProblem, by_constraint):
     """Items of the constraints that hold throughout, and of the others."""
     pairs = list(zip(problem.constraints, by_constraint, strict=True))
     return (
@@ -218,13 +244,13 @@ def _partition(problem: OptimalControlProblem, by_constraint):
     )
 
 
-def _rows(problem: OptimalControlProblem) -> list[int]:
+def _rows(problem: ScaledTimeProblem) -> list[int]:
     """Number of values of each constraint at a point."""
 
-    def value(c: Constraint, v):
-        first = jax.tree.map(lambda p: p[0], c.parameters)
+    def value(c: PathConstraint, v):
+        first = jax.tree.map(lambda p: p[0], c.node_parameters())
         state, control = jnp.split(v, [problem.state_size])
-        return c.where.end_value(c.function, (*problem.split_state(state), 1.0), control, control, first)
+        return end_value(problem, c, state, control, control, first)
 
     like = jax.ShapeDtypeStruct((problem.variables,), float)
     return [jax.eval_shape(functools.partial(value, c), like).shape[0] for c in problem.constraints]

@@ -10,7 +10,8 @@ from jaxtyping import Array, Float
 
 from jaxscp.core.types import Scalar
 from jaxscp.problem.multipliers import Multipliers
-from jaxscp.problem.problem import OptimalControlProblem, typical_sizes
+from jaxscp.problem.node_values import typical_sizes
+from jaxscp.problem.scaled_time import ScaledTimeProblem
 from jaxscp.transcription.inequalities import jacobians, transpose_product
 from jaxscp.transcription.layout import cost_gradient, sum_onto_nodes
 from jaxscp.transcription.shooting import Linearisation
@@ -32,7 +33,7 @@ def stationarity(
 
 
 def lagrangian_gradient(
-    problem: OptimalControlProblem,
+    problem: ScaledTimeProblem,
     z: Float[Array, "nodes variables"],
     linear: Linearisation,
     y: Multipliers,
@@ -43,7 +44,7 @@ def lagrangian_gradient(
 
 
 def equalities_gradient(
-    problem: OptimalControlProblem,
+    problem: ScaledTimeProblem,
     z: Float[Array, "nodes variables"],
     linear: Linearisation,
     y: Multipliers,

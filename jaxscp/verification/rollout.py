@@ -4,9 +4,39 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxscp.problem.problem import OptimalControlProblem
+from jaxscp.core.program import reads
+from jaxscp.core.types import Scalar
+from jaxscp.dynamics.base import Dynamics
+from jaxscp.problem.scaled_time import ScaledTimeProblem
 from jaxscp.problem.trajectory import Trajectory
 from jaxscp.verification.integrator.integrate import integrate
+
+
+class _WithClock(Dynamics):
+    """Dynamics that may read the time, with the time as their last state."""
+
+    inner: Dynamics
+
+    @property
+    def state_size(self) -> int:
+        """Inner states, and the time."""
+        return self.inner.state_size + 1
+
+    @property
+    def control_size(self) -> int:
+        """Of the inner dynamics."""
+        return self.inner.control_size
+
+    def __call__(
+        self, state: Float[Array, "states"], control: Float[Array, "controls"], time: Scalar | float = 0.0
+    ) -> Float[Array, "states"]:
+        """Time grows by one second each second."""
+        return jnp.append(self.inner(state[:-1], control, state[-1]), 1.0)
+
+
+def _with_clock(trajectory: Trajectory) -> Trajectory:
+    state = jnp.concatenate([trajectory.state, trajectory.time[:, None]], axis=1)
+    return eqx.tree_at(lambda t: t.state, trajectory, state)
 
 
 class Rollout(eqx.Module):
@@ -18,7 +48,7 @@ class Rollout(eqx.Module):
     control: Float[Array, "intervals samples controls"]
 
 
-def rollout(problem: OptimalControlProblem, trajectory: Trajectory, samples: int) -> Rollout:
+def rollout(problem: ScaledTimeProblem, trajectory: Trajectory, samples: int) -> Rollout:
     """Rollout of a trajectory's controls from its first state.
 
     Args:
@@ -28,9 +58,14 @@ def rollout(problem: OptimalControlProblem, trajectory: Trajectory, samples: int
     """
     intervals = trajectory.time.shape[0] - 1
     width, fractions = 1.0 / intervals, jnp.linspace(0.0, 1.0, samples)
-    states = integrate(problem.dynamics, trajectory, samples)
+    at = trajectory.state[0], trajectory.control[0], 0.0
+    if reads(problem.dynamics, 2, *at):
+        states = integrate(_WithClock(problem.dynamics), _with_clock(trajectory), samples)[:, :, :-1]
+    else:
+        states = integrate(problem.dynamics, trajectory, samples)
     blend = fractions[None, :, None]
-    control = (1.0 - blend) * trajectory.control[:-1, None] + blend * trajectory.control[1:, None]
+    first, last = trajectory.interval_controls()
+    control = (1.0 - blend) * first[:, None] + blend * last[:, None]
     s0, s1 = trajectory.dilation[:-1, None], trajectory.dilation[1:, None]
     time = trajectory.time[:-1, None] + width * (s0 * fractions + 0.5 * (s1 - s0) * fractions**2)
     return Rollout(time, states, control)

@@ -47,11 +47,18 @@ class Kernel:
             v[0]
             for v in launch.call(self.cubin, w, constants, shapes, self.threads, cuda_source.BLOCK_THREADS)
         )
-        expected = jax.vmap(self.dynamics)(states[:, 0], control[:-1]) * dilation[:-1, None] / intervals
+        expected = (
+            jax.vmap(lambda x, u: self.dynamics(x, u, 0.0))(states[:, 0], control[:-1])
+            * dilation[:-1, None]
+            / intervals
+        )
         errors, sizes = (jnp.max(jnp.abs(v), axis=1) for v in (derivatives - expected, expected))
         agrees = errors <= AGREEMENT * (1.0 + sizes)
         until = jnp.cumprod(agrees).astype(bool)[:, None, None]
         return jnp.where(until, states, jnp.inf)
+
+    def _rate(self, state: Float[Array, "n"], control: Float[Array, "m"]) -> Float[Array, "n"]:
+        return self.dynamics(state, control, 0.0)
 
 
 def kernel_for(
@@ -77,4 +84,4 @@ def record(dynamics: Dynamics) -> TapedFunction:
         CannotTrace: if the dynamics are not arithmetic alone.
     """
     n = dynamics.state_size
-    return functions.record(lambda a: dynamics(a[:n], a[n:]), n + dynamics.control_size, (), order=0)
+    return functions.record(lambda a: dynamics(a[:n], a[n:], 0.0), n + dynamics.control_size, (), order=0)

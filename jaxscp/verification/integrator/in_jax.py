@@ -11,11 +11,19 @@ from jaxscp.verification.integrator.accuracy import FIRST_STEP, TOLERANCE, most_
 def states(
     dynamics: Dynamics,
     start: Float[Array, "n"],
-    control: Float[Array, "nodes m"],
+    controls: tuple[Float[Array, "intervals m"], Float[Array, "intervals m"]],
     dilation: Float[Array, "nodes"],
     samples: int,
 ) -> Float[Array, "intervals samples n"]:
-    """States at points of every interval; infinite where the integration fails."""
+    """States at points of every interval; infinite where the integration fails.
+
+    Args:
+        dynamics: to integrate; time is zero.
+        start: first state.
+        controls: at the first and at the last point of every interval; linear between.
+        dilation: at the nodes.
+        samples: points an interval.
+    """
     # Imported here: diffrax is slow to import, and a planner from a cache does not need it.
     from diffrax import Dopri8, ODETerm, PIDController, SaveAt, diffeqsolve, is_successful
 
@@ -25,7 +33,7 @@ def states(
 
     def rate(fraction, state, ends):
         (u0, u1), (s0, s1) = ends
-        return width * (s0 + fraction * (s1 - s0)) * dynamics(state, u0 + fraction * (u1 - u0))
+        return width * (s0 + fraction * (s1 - s0)) * dynamics(state, u0 + fraction * (u1 - u0), 0.0)
 
     def interval(state, ends):
         solution = diffeqsolve(
@@ -46,5 +54,5 @@ def states(
         states = jnp.where(is_successful(solution.result), sampled, jnp.inf)
         return states[-1], states
 
-    _, found = jax.lax.scan(interval, start, ((control[:-1], control[1:]), (dilation[:-1], dilation[1:])))
+    _, found = jax.lax.scan(interval, start, (controls, (dilation[:-1], dilation[1:])))
     return found

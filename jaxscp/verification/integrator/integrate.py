@@ -15,7 +15,7 @@ def integrate(
 
     Args:
         dynamics: to integrate.
-        trajectory: gives the first state, and controls and dilation, linear between the nodes.
+        trajectory: gives the first state, the controls, and the dilation, linear between the nodes.
         samples: points an interval, two at least.
 
     Returns:
@@ -29,7 +29,9 @@ def integrate(
     start, control, dilation = trajectory.state[0], trajectory.control, trajectory.dilation
 
     def by_diffrax(start, control, dilation):
-        return in_jax.states(dynamics, start, control, dilation, samples)
+        ends = trajectory.controls_of_intervals(control)
+        return in_jax.states(dynamics, start, ends, dilation, samples)
 
-    by_kernel = in_cuda.kernel_for(dynamics, start, control, samples)
+    linear = not trajectory.zero_order_hold
+    by_kernel = in_cuda.kernel_for(dynamics, start, control, samples) if linear else None
     return dispatch(None, by_diffrax, start, control, dilation, cuda=by_kernel)

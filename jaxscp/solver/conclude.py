@@ -1,13 +1,15 @@
-"""From the result of a method to a certified solution."""
+"""From the result of a method to a certified solution, in the user's units."""
 
 from typing import Any
 
+import equinox as eqx
 import jax
 
 from jaxscp.core import batching
 from jaxscp.core.status import Status
-from jaxscp.problem.problem import OptimalControlProblem
+from jaxscp.problem.scaled_time import ScaledTimeProblem
 from jaxscp.problem.trajectory import Trajectory
+from jaxscp.scp.history import History
 from jaxscp.scp.method import Method, MethodResult
 from jaxscp.solver.solution import Solution
 from jaxscp.transcription.layout import trajectory_of
@@ -19,7 +21,7 @@ CERTIFICATE_CHUNK = (4096,)  # batch elements certified at once on a GPU, which 
 
 
 def conclude(
-    method: Method, samples: int, problem: OptimalControlProblem, result: MethodResult, context: Any
+    method: Method, samples: int, problem: ScaledTimeProblem, result: MethodResult, context: Any
 ) -> Solution:
     """The solution with its certificate.
 
@@ -39,23 +41,32 @@ def conclude(
     return Solution(
         status=Status.where(failed, Status.verification_failed, result.status),
         trajectory=trajectory,
-        cost=result.cost,
+        cost=result.cost if problem.sizes is None else result.cost * problem.sizes.cost,
         final_time=trajectory.time[-1],
         iterations=result.iterations,
         interior_point_iterations=result.interior_point_iterations,
         differentiable=result.is_optimum,
         multipliers=result.multipliers,
         certificate=certificate,
-        history=result.history,
+        history=_in_units(problem, result.history),
         z=result.z,
         context=context,
     )
 
 
+def _in_units(problem: ScaledTimeProblem, history: History) -> History:
+    """The history with costs and times in the user's units; the other columns are relative to typical sizes."""
+    sizes = problem.sizes
+    if sizes is None:
+        return history
+    parts = history.cost * sizes.cost, history.objective * sizes.cost, history.final_time * sizes.time
+    return eqx.tree_at(lambda h: (h.cost, h.objective, h.final_time), history, parts)
+
+
 def _certificate(
     method: Method,
     samples: int,
-    problem: OptimalControlProblem,
+    problem: ScaledTimeProblem,
     result: MethodResult,
     trajectory: Trajectory,
 ) -> Certificate:

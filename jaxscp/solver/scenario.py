@@ -1,4 +1,4 @@
-"""The interface that a planner needs of a scenario."""
+"""The interface that a pipeline needs of a scenario."""
 
 from typing import Any, Protocol, runtime_checkable
 

@@ -1,0 +1,224 @@
+"""A user's function, known by what it computes.
+
+JAX knows a function by its Python object, so that a lambda in a loop compiles in every turn. Here two functions are the
+same if their value and their first and second directional derivatives lower to the same StableHLO text. A printed
+jaxpr would not do: it hides constants of nested functions, and derivative rules.
+"""
+
+import hashlib
+import types
+import warnings
+from collections import defaultdict
+from collections.abc import Callable, Hashable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jax.interpreters.partial_eval import dce_jaxpr
+
+PACKAGE = __name__.partition(".")[0]
+MOST_KNOWN = 512  # functions that are remembered
+MOST_VERSIONS = 3  # programs of one line of code, before a warning
+
+
+class Program:
+    """A pure function of arrays: the last argument is a tuple of arrays. Equal to another if their digests are.
+
+    Args:
+        closed: the jaxpr; its constants that are tracers became ``captured`` ones.
+        captured: positions of those constants; their values lead the last argument.
+        shape: of the result.
+        digest: of what it computes.
+    """
+
+    def __init__(self, closed: Any, captured: tuple[int, ...], shape: tuple[int, ...], digest: str):
+        self.closed, self.captured, self.shape, self.digest = closed, captured, shape, digest
+
+    def __call__(self, *arguments: Any) -> jax.Array:
+        """The value."""
+        *first, leaves = arguments
+        count = len(self.captured)
+        constants = list(self.closed.consts)
+        for position, value in zip(self.captured, leaves[:count], strict=True):
+            constants[position] = value
+        flat = [
+            jnp.asarray(v, a.dtype)
+            for v, a in zip([*first, *leaves[count:]], self.closed.in_avals, strict=True)
+        ]
+        return jax.core.eval_jaxpr(self.closed.jaxpr, constants, *flat)[0]
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Program) and self.digest == other.digest
+
+    def __hash__(self) -> int:
+        return hash(self.digest)
+
+    def __repr__(self) -> str:
+        return f"Program({self.digest[:8]})"
+
+
+def identify(function: Callable[..., Any], *arguments: Any, key: Hashable = None) -> tuple[Program, tuple]:
+    """The function as a program, and the tracers that it closes over.
+
+    Args:
+        function: pure; returns one array or number.
+        arguments: examples, ``jax.ShapeDtypeStruct`` will do; the last one is a pytree of parameters. The program takes
+            its leaves, after the tracers.
+        key: what determines the function, by default the function and the values that it closes over.
+
+    Raises:
+        TypeError: if it returns no array.
+
+    Example:
+        >>> import jax, jax.numpy as jnp
+        >>> from jaxscp.core.program import identify
+        >>> x = jnp.ones(2)
+        >>> one, _ = identify(lambda x, p: p["k"] * x, x, {"k": 2.0})
+        >>> other, _ = identify(lambda y, q: q["k"] * y, x, {"k": 3.0})
+        >>> one == other, one(x, (5.0,)).tolist()
+        (True, [5.0, 5.0])
+    """
+    shapes = jax.tree.map(lambda v: jax.ShapeDtypeStruct(jnp.shape(v), jnp.result_type(v)), arguments)
+    leaves, tree = jax.tree.flatten(shapes)
+    alive: list[Any] = [function, key]  # so that the numbers of these objects stay their own
+    snapshot = key if key is not None else _snapshot(function, alive)
+    whole = (snapshot, tree, tuple((v.shape, str(v.dtype)) for v in leaves))
+    if whole in _known:
+        return _known[whole][0], ()
+    closed, out = jax.make_jaxpr(_returning_floats(function), return_shape=True)(*shapes)
+    captured = tuple(i for i, c in enumerate(closed.consts) if isinstance(c, Tracer))
+    program = Program(closed, captured, out.shape, "")
+    tracers = tuple(closed.consts[i] for i in captured)
+    program.digest = _digest(program, leaves, tracers)
+    if tracers:  # they end with the transformation that made them
+        return program, tracers
+    if len(_known) >= MOST_KNOWN:
+        _known.clear()
+    _known[whole] = program, alive
+    _warn_of_versions(function, program)
+    return program, ()
+
+
+def reads(function: Callable[..., Any], argument: int, *arguments: Any) -> bool:
+    """Whether a function's value depends on one of its arguments, which is a single array.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from jaxscp.core.program import reads
+        >>> reads(lambda x, t: x + 0.0 * t, 1, jnp.ones(2), 0.0), reads(lambda x, t: 2.0 * x, 1, jnp.ones(2), 0.0)
+        (True, False)
+    """
+    closed = jax.make_jaxpr(function)(*arguments)
+    before = len(jax.tree.leaves(arguments[:argument]))
+    _, used = dce_jaxpr(closed.jaxpr, [True] * len(closed.jaxpr.outvars))
+    return bool(used[before])
+
+
+def of_this_package(function: Callable[..., Any]) -> bool:
+    """Whether a function is known by its name or digest already."""
+    if isinstance(function, Program):
+        return True
+    cls = function if isinstance(function, types.FunctionType) else type(function)
+    ours = cls.__module__.partition(".")[0] == PACKAGE and "<" not in cls.__qualname__
+    return ours and not jax.tree.leaves(function if cls is not function else ())
+
+
+_known: dict[Hashable, tuple[Program, list]] = {}
+_versions: dict[Hashable, set[str]] = defaultdict(set)
+
+
+def _returning_floats(function: Callable[..., Any]) -> Callable[..., jax.Array]:
+    def floating(*arguments):
+        value = function(*arguments)
+        if isinstance(value, list | tuple | dict) or value is None:
+            raise TypeError(
+                f"returns a {type(value).__name__}; return one array, jnp.stack([...]) or jnp.concatenate([...]), say"
+            )
+        return jnp.asarray(value, jnp.result_type(float))
+
+    return floating
+
+
+def _digest(program: Program, leaves: list, tracers: tuple) -> str:
+    """Hash of the lowered value and its directional derivatives, and of constants that JAX passes beside the text."""
+
+    def expanded(values, first, second):
+        def flat(*v):
+            captured, arguments = v[: len(tracers)], v[len(tracers) :]
+            return jax.core.eval_jaxpr(program.closed.jaxpr, _merged(program, captured), *arguments)[0]
+
+        slope = lambda *v: jax.jvp(flat, v, first)  # noqa: E731
+        return jax.jvp(slope, values, second)
+
+    shape = lambda v: jax.ShapeDtypeStruct(v.shape, v.dtype)  # noqa: E731
+    values = (*map(shape, tracers), *leaves)
+    tangents = tuple(
+        v if jnp.issubdtype(v.dtype, jnp.inexact) else jax.ShapeDtypeStruct(v.shape, jax.dtypes.float0)
+        for v in values
+    )
+    digest = hashlib.sha256(_text(expanded, values, tangents).encode())
+    for constant in program.closed.consts:
+        if not isinstance(constant, Tracer):
+            digest.update(np.asarray(constant).tobytes())
+    digest.update(repr(program.captured).encode())
+    return digest.hexdigest()
+
+
+def _text(expanded: Callable, values: tuple, tangents: tuple) -> str:
+    floating = [i for i, v in enumerate(tangents) if v.dtype != jax.dtypes.float0]
+
+    def with_zeros(directions):
+        whole = [np.zeros(v.shape, v.dtype) for v in tangents]
+        for i, d in zip(floating, directions, strict=True):
+            whole[i] = d
+        return tuple(whole)
+
+    directions = tuple(tangents[i] for i in floating)
+    jitted = jax.jit(lambda v, a, b: expanded(v, with_zeros(a), with_zeros(b)))
+    return jitted.lower(values, directions, directions).as_text()
+
+
+def _merged(program: Program, captured: tuple) -> list:
+    constants = list(program.closed.consts)
+    for position, value in zip(program.captured, captured, strict=True):
+        constants[position] = value
+    return constants
+
+
+def _snapshot(function: Any, alive: list) -> Hashable:
+    """The function, and the values that it finds outside: they may change between two calls."""
+    inner = getattr(function, "__wrapped__", function)
+    inner = getattr(inner, "__func__", inner)
+    code = getattr(inner, "__code__", None)
+    if code is None:
+        return id(function)
+    cells = [c.cell_contents for c in inner.__closure__ or () if _filled(c)]
+    outer = [inner.__globals__[name] for name in code.co_names if name in inner.__globals__]
+    values = [*cells, *outer, *(inner.__defaults__ or ())]
+    alive += values
+    return id(function), tuple((id(v), v.tobytes() if isinstance(v, np.ndarray) else None) for v in values)
+
+
+def _filled(cell: types.CellType) -> bool:
+    try:
+        cell.cell_contents  # noqa: B018
+    except ValueError:
+        return False
+    return True
+
+
+def _warn_of_versions(function: Any, program: Program) -> None:
+    """Warn where one line of code makes a new program for every value that it closes over."""
+    code = getattr(function, "__code__", None)
+    if code is None:
+        return
+    versions = _versions[code]
+    versions.add(program.digest)
+    if len(versions) == MOST_VERSIONS + 1:
+        warnings.warn(
+            f"jaxscp: {function.__qualname__} (line {code.co_firstlineno}) has made {len(versions)} programs, and each "
+            "compiles anew. If it closes over a number that varies, pass the number in parameters.",
+            stacklevel=2,
+        )

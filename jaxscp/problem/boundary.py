@@ -1,0 +1,165 @@
+"""Conditions at both ends: functions of the state and the time that are zero, with names and units of their rows."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxscp.core.arrays import namespace
+from jaxscp.core.types import Scalar
+
+END_TOLERANCE = 1e-3  # of a row, in its unit: error that counts as none
+
+
+def length(rows: Float[Array, "rows"]) -> Scalar:
+    """Euclidean norm."""
+    return jnp.linalg.norm(rows)
+
+
+class EndRows(eqx.Module):
+    """Consecutive rows of a condition that a certificate measures together.
+
+    Args:
+        name: for reports.
+        unit: of the error.
+        count: number of rows.
+        tolerance: error that counts as none; None is 1e-3, times the rows' typical size if the problem has a scale.
+        error: from the rows to their error, by default their norm.
+    """
+
+    name: str = eqx.field(static=True)
+    unit: str = eqx.field(static=True, default="")
+    count: int = eqx.field(static=True, default=1)
+    tolerance: float | None = eqx.field(static=True, default=None)
+    error: Callable[..., Scalar] = eqx.field(static=True, default=length)
+
+
+class EndCondition(eqx.Module):
+    """``function(state, time, parameters) = 0`` at one end of the trajectory.
+
+    Linearised at the reference; a row that is zero everywhere is no condition.
+
+    Args:
+        function: pure; returns one axis of rows.
+        parameters: a pytree of numbers and arrays.
+        rows: names, units and tolerances; by default one group of all rows, named as the function.
+
+    Example:
+        >>> import jax.numpy as jnp, jaxscp
+        >>> def meets(state, time, target):
+        ...     return state[:2] - (target["position"] + time * target["velocity"])
+        >>> target = {"position": jnp.zeros(2), "velocity": jnp.ones(2)}
+        >>> docked = jaxscp.EndCondition(meets, target, rows=(jaxscp.EndRows("distance", "m", count=2),))
+    """
+
+    function: Callable[..., Any] = eqx.field(static=True)
+    parameters: Any = ()
+    rows: tuple[EndRows, ...] = ()
+
+    def value(self, state: Float[Array, "states"], time: Scalar | float) -> Float[Array, "rows"]:
+        """The rows."""
+        return self.function(state, time, self.parameters)
+
+
+class CoupledEnds(eqx.Module):
+    """``function(first, last, time, parameters) = 0``: a condition on the states of both ends and the final time.
+
+    Arguments are those of ``EndCondition``. The first state becomes a static state, so that stages stay a chain.
+    """
+
+    function: Callable[..., Any] = eqx.field(static=True)
+    parameters: Any = ()
+    rows: tuple[EndRows, ...] = ()
+
+    def value(self, first: Array, last: Array, time: Scalar | float) -> Float[Array, "rows"]:
+        """The rows."""
+        return self.function(first, last, time, self.parameters)
+
+
+class Boundary(eqx.Module):
+    """Conditions at the start, at the end, and between both.
+
+    Args:
+        initial: at the start, where time is zero.
+        final: at the end.
+        coupled: on both; ``periodic()``, say.
+    """
+
+    initial: EndCondition
+    final: EndCondition
+    coupled: CoupledEnds | None = None
+
+
+class _Components(eqx.Module):
+    """The chosen components of the state, less the given values."""
+
+    chosen: tuple[int, ...] = eqx.field(static=True)
+
+    def __call__(self, state, time, value):
+        return state[jnp.array(self.chosen, int)] - value if self.chosen else jnp.zeros(0, state.dtype)
+
+
+class _SameComponents(eqx.Module):
+    """The chosen components of the last state, less those of the first."""
+
+    chosen: tuple[int, ...] | None = eqx.field(static=True)
+
+    def __call__(self, first, last, time, parameters):
+        which = slice(None) if self.chosen is None else jnp.array(self.chosen, int)
+        return last[which] - first[which]
+
+
+def fixed_state(
+    values: Sequence[Any] | Array,
+    names: Sequence[str] | None = None,
+    units: Sequence[str] | None = None,
+    tolerance: float | None = None,
+) -> EndCondition:
+    """Components of the state at given values; None leaves a component free.
+
+    Args:
+        values: one for each component, numbers or None; or an array, which fixes all.
+        names: of the components, for reports.
+        units: of the components.
+        tolerance: error of a component that counts as none.
+
+    Example:
+        >>> import jaxscp
+        >>> goal = jaxscp.fixed_state([6.0, 0.0, None], names=("x", "y", "heading"), units=("m", "m", "rad"))
+        >>> [rows.name for rows in goal.rows]
+        ['x', 'y']
+    """
+    chosen = tuple(i for i, v in enumerate(values) if v is not None)
+    fixed = [values[i] for i in chosen]
+    value = namespace(fixed).stack([namespace(v).asarray(v, float) for v in fixed]) if fixed else np.zeros(0)
+    rows = tuple(
+        EndRows(names[i] if names else f"x[{i}]", units[i] if units else "", 1, tolerance) for i in chosen
+    )
+    return EndCondition(_Components(chosen), jnp.asarray(value), rows)
+
+
+def periodic(components: Sequence[int] | None = None, name: str = "period", unit: str = "") -> CoupledEnds:
+    """The chosen components of the state are the same at both ends; all by default.
+
+    Example:
+        >>> import jaxscp
+        >>> free = jaxscp.fixed_state([None, None])
+        >>> loop = jaxscp.Boundary(free, free, coupled=jaxscp.periodic())
+    """
+    chosen = None if components is None else tuple(components)
+    rows = () if chosen is None else (EndRows(name, unit, len(chosen)),)
+    return CoupledEnds(_SameComponents(chosen), (), rows)
+
+
+def fixed_values(condition: EndCondition, states: int) -> list[Any] | None:
+    """What ``fixed_state`` was given, None where free; None for a condition given by another function."""
+    if not isinstance(condition.function, _Components):
+        return None
+    values: list[Any] = [None] * states
+    for number, component in enumerate(condition.function.chosen):
+        values[component] = jax.tree.leaves(condition.parameters)[0][number]
+    return values

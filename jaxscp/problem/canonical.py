@@ -1,0 +1,288 @@
+"""A problem in which every function is a program, known by what it computes, and every parameter a tuple of arrays.
+
+Two problems with equal functions then have one tree structure, whatever objects the functions are, so that they share
+compiled code. Functions of this package stay as they are: their names determine them.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxscp.cones.cone import Cone
+from jaxscp.core.program import Program, identify, of_this_package
+from jaxscp.dynamics.base import Dynamics, FunctionDynamics
+from jaxscp.problem.boundary import Boundary, CoupledEnds, EndCondition, EndRows
+from jaxscp.problem.constraint import Constraint, Where, name_of
+from jaxscp.problem.cost import Cost
+from jaxscp.problem.errors import InvalidProblem
+from jaxscp.problem.problem import OptimalControlProblem
+from jaxscp.problem.time import FixedTime, FreeTime, Time
+
+_NUMBER = jax.ShapeDtypeStruct((), float)
+
+
+def canonical(problem: OptimalControlProblem) -> OptimalControlProblem:
+    """The problem with programs for functions; its leaves are the same, in the same order.
+
+    Functions that close over tracers (inside ``grad`` and ``vmap``) add those as leaves.
+
+    Raises:
+        InvalidProblem: if a function fails, or returns another shape than its part of the problem needs; the message
+            names the part.
+    """
+    _check_parts(problem)
+    n, m = problem.dynamics.state_size, problem.dynamics.control_size
+    x, u = jax.ShapeDtypeStruct((n,), float), jax.ShapeDtypeStruct((m,), float)
+    constraints = [
+        _constraint(c, i, x, u, problem.time.nodes, "constraints") for i, c in enumerate(problem.constraints)
+    ]
+    checks = [_constraint(c, i, x, u, problem.time.nodes, "checks") for i, c in enumerate(problem.checks)]
+    _unique_names([*constraints, *checks])
+    return OptimalControlProblem(
+        dynamics=_dynamics(problem.dynamics, x, u),
+        cost=_cost(problem.cost, x, u, problem.time.nodes),
+        boundary=_boundary(problem.boundary, x),
+        time=_with_arrays(problem.time, "time"),
+        constraints=tuple(constraints),
+        scale=_with_arrays(problem.scale, "scale"),
+        checks=tuple(checks),
+        zero_order_hold=tuple(problem.zero_order_hold),
+    )
+
+
+def _check_parts(problem: OptimalControlProblem) -> None:
+    """Raise for a part of another class: a class in place of its instance, say."""
+    parts: list[tuple[str, Any, type | tuple[type, ...]]] = [
+        ("dynamics", problem.dynamics, Dynamics),
+        ("cost", problem.cost, Cost),
+        ("boundary", problem.boundary, Boundary),
+        ("boundary.initial", problem.boundary.initial, EndCondition),
+        ("boundary.final", problem.boundary.final, EndCondition),
+        ("time", problem.time, Time),
+        ("time.final", problem.time.final, (FreeTime, FixedTime)),
+    ]
+    for i, c in enumerate(problem.constraints):
+        parts += [(f"constraints[{i}]", c, Constraint)]
+        parts += [(f"constraints[{i}].cone", c.cone, Cone), (f"constraints[{i}].where", c.where, Where)]
+    for field, part, expected in parts:
+        if not isinstance(part, expected):
+            names = (
+                expected.__name__ if isinstance(expected, type) else " or ".join(c.__name__ for c in expected)
+            )
+            found = f"the class {part.__name__}" if isinstance(part, type) else f"a {type(part).__name__}"
+            raise InvalidProblem(f"{field}: expected an instance of {names}, got {found}.")
+
+
+def array(value: Any, field: str) -> jax.Array:
+    """A number or an array, without a weak type."""
+    if not isinstance(value, jax.Array):
+        if not isinstance(value, bool | int | float | np.ndarray | np.generic):
+            raise InvalidProblem(
+                f"{field}: holds a {type(value).__name__}; parameters are numbers and arrays. Let the function close "
+                "over other objects."
+            )
+        value = jnp.asarray(np.asarray(value))
+    if value.dtype not in (jnp.float64, jnp.int64, jnp.int32, jnp.bool_):
+        raise InvalidProblem(
+            f"{field}: expected float64, got {value.dtype}. Was the array made before jax_enable_x64 was set?"
+        )
+    return value
+
+
+def _with_arrays(tree: Any, field: str) -> Any:
+    """The pytree with arrays for numbers."""
+    named = lambda path, leaf: array(leaf, f"{field}{jax.tree_util.keystr(path)}")  # noqa: E731
+    return jax.tree_util.tree_map_with_path(named, tree)
+
+
+def _program(
+    function: Callable[..., Any], field: str, arguments: tuple, parameters: Any, key: Any = None
+) -> tuple[Program, tuple]:
+    """The program of a function, and what it captures."""
+    if not callable(function):
+        raise InvalidProblem(f"{field}: expected a function, got a {type(function).__name__}.")
+    try:
+        return identify(function, *arguments, parameters, key=key)
+    except Exception as error:
+        words = ", ".join(str(v.shape) for v in arguments)
+        raise InvalidProblem(
+            f"{field}: {name_of(function) or 'the function'} fails for arguments of shapes {words} and its parameters: "
+            f"{error}"
+        ) from error
+
+
+def _expect(program: Program, field: str, shape: tuple[int, ...], words: str) -> None:
+    if program.shape != shape:
+        raise InvalidProblem(
+            f"{field}: returns shape {program.shape}, expected {shape}: {words}."
+            + _hint(program.shape, shape)
+        )
+
+
+def _hint(found: tuple[int, ...], expected: tuple[int, ...]) -> str:
+    if found == (1,) and expected == ():
+        return " Take the entry: value[0]."
+    return ""
+
+
+def _dynamics(dynamics: Dynamics, x: Any, u: Any) -> Dynamics:
+    dynamics = _with_arrays(dynamics, "dynamics")
+    if _wholly_ours(dynamics):
+        return dynamics
+    if isinstance(dynamics, FunctionDynamics):
+        parameters = dynamics.parameters
+        program, captured = _program(dynamics.function, "dynamics", (x, u, _NUMBER), parameters)
+    else:
+        parameters, tree = jax.tree.flatten(dynamics)
+
+        def function(x, u, t, leaves):
+            return jax.tree.unflatten(tree, leaves)(x, u, t)
+
+        key = type(dynamics), tree
+        program, captured = _program(function, "dynamics", (x, u, _NUMBER), tuple(parameters), key)
+    _expect(program, "dynamics", x.shape, "the derivative of each state")
+    leaves = (*captured, *jax.tree.leaves(parameters))
+    return FunctionDynamics(program, x.shape[0], u.shape[0], leaves)
+
+
+def _cost(cost: Cost, x: Any, u: Any, nodes: int) -> Cost:
+    cost = _with_arrays(cost, "cost")
+    if of_this_package(cost.running) and of_this_package(cost.terminal):
+        return cost
+    example = _at_node(cost.parameters, nodes, "cost.parameters") if cost.per_node else cost.parameters
+    running = _program(cost.running, "cost.running", (x, u, _NUMBER), example)
+    terminal = _program(cost.terminal, "cost.terminal", (x, _NUMBER), example)
+    for (program, _), field in ((running, "cost.running"), (terminal, "cost.terminal")):
+        _expect(program, field, (), "a cost is one number")
+    leaves = tuple(jax.tree.leaves(cost.parameters))
+    captured = [_over_nodes(c, nodes) if cost.per_node else c for _, c in (running, terminal)]
+    if not any(captured):
+        return Cost(running[0], terminal[0], leaves, cost.per_node)
+    parts = [_OfPart(program, number) for number, (program, _) in enumerate((running, terminal))]
+    return Cost(*parts, (*captured, leaves), cost.per_node)
+
+
+class _OfPart(eqx.Module):
+    """One of two programs that share their parameters, and capture tracers of their own."""
+
+    program: Program = eqx.field(static=True)
+    number: int = eqx.field(static=True)
+
+    def __call__(self, *arguments):
+        *first, parameters = arguments
+        return self.program(*first, (*parameters[self.number], *parameters[-1]))
+
+
+def _over_nodes(captured: tuple, nodes: int) -> tuple:
+    return tuple(jnp.broadcast_to(c, (nodes, *jnp.shape(c))) for c in captured)
+
+
+def _at_node(parameters: Any, nodes: int, field: str) -> Any:
+    """Shapes of the parameters of one node."""
+
+    def one(path, leaf):
+        if leaf.shape[:1] != (nodes,):
+            raise InvalidProblem(
+                f"{field}{jax.tree_util.keystr(path)}: per_node arrays have the {nodes} nodes as leading axis, but "
+                f"this one has shape {leaf.shape}."
+            )
+        return jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype)
+
+    return jax.tree_util.tree_map_with_path(one, parameters)
+
+
+def _constraint(c: Constraint, index: int, x: Any, u: Any, nodes: int, where: str) -> Constraint:
+    name = c.name or name_of(c.function) or f"constraint {index + 1}"
+    field = f"{where}[{index}] ({name})"
+    c = dataclasses.replace(_with_arrays(c, field), name=name)
+    if c.active is not None and c.active.shape != (nodes,):
+        raise InvalidProblem(
+            f"{field}.active: expected shape ({nodes},), one for each node, got {c.active.shape}."
+        )
+    example = _at_node(c.parameters, nodes, f"{field}.parameters") if c.per_node else c.parameters
+    across = jax.ShapeDtypeStruct((u.shape[0] + 1,), float)
+    arguments = (across, across, _NUMBER) if c.where.across else (x, u, _NUMBER)
+    if of_this_package(c.function):
+        shape = _shape(c.function, field, arguments, example)
+    else:
+        program, captured = _program(c.function, field, arguments, example)
+        shape, leaves = program.shape, tuple(jax.tree.leaves(c.parameters))
+        captured = _over_nodes(captured, nodes) if c.per_node else captured
+        c = dataclasses.replace(c, function=program, parameters=(*captured, *leaves))
+    if len(shape) != 1 or shape[0] < c.cone.least_rows:
+        rows = (
+            "one axis of values"
+            if c.cone.least_rows == 1
+            else f"one axis of {c.cone.least_rows} values or more"
+        )
+        raise InvalidProblem(
+            f"{field}: returns shape {shape}, but {type(c.cone).__name__}() holds {rows}."
+            + (" Return jnp.stack([value])." if shape == () else "")
+        )
+    return c
+
+
+def _shape(function: Callable[..., Any], field: str, arguments: tuple, parameters: Any) -> tuple[int, ...]:
+    """Shape of the values of a function of this package."""
+    try:
+        return jax.eval_shape(function, *arguments, parameters).shape
+    except Exception as error:
+        words = " and ".join(str(v.shape) for v in arguments[:2])
+        raise InvalidProblem(
+            f"{field}: does not fit a state and a control of shapes {words}: {error}"
+        ) from error
+
+
+def _boundary(boundary: Boundary, x: Any) -> Boundary:
+    coupled = boundary.coupled
+    return Boundary(
+        _ends(boundary.initial, "boundary.initial", (x, _NUMBER)),
+        _ends(boundary.final, "boundary.final", (x, _NUMBER)),
+        None if coupled is None else _ends(coupled, "boundary.coupled", (x, x, _NUMBER)),
+    )
+
+
+def _ends(condition: Any, field: str, arguments: tuple) -> Any:
+    condition = _with_arrays(condition, field)
+    name = name_of(condition.function) or field.rpartition(".")[2]
+    if of_this_package(condition.function):
+        shape = _shape(condition.function, field, arguments, condition.parameters)
+    else:
+        program, captured = _program(condition.function, field, arguments, condition.parameters)
+        shape, leaves = program.shape, (*captured, *jax.tree.leaves(condition.parameters))
+        condition = dataclasses.replace(condition, function=program, parameters=leaves)
+    if len(shape) != 1:
+        raise InvalidProblem(f"{field}: returns shape {shape}, expected one axis of rows.")
+    rows = condition.rows or ((EndRows(name, count=shape[0]),) if shape[0] else ())
+    if sum(r.count for r in rows) != shape[0]:
+        raise InvalidProblem(
+            f"{field}: returns {shape[0]} rows, but rows names {sum(r.count for r in rows)} of them."
+        )
+    return dataclasses.replace(condition, rows=rows)
+
+
+def _unique_names(constraints: list[Constraint]) -> None:
+    names = [c.name for c in constraints]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise InvalidProblem(
+            f"constraints: the name {twice[0]!r} occurs {names.count(twice[0])} times; give each a name of its own."
+        )
+
+
+def _wholly_ours(part: Any) -> bool:
+    """Whether a module is made of this package's classes and functions alone."""
+    if isinstance(part, eqx.Module):
+        ours = type(part).__module__.partition(".")[0] == __name__.partition(".")[0]
+        fields = (getattr(part, field.name) for field in dataclasses.fields(part))
+        return ours and all(map(_wholly_ours, fields))
+    if isinstance(part, jax.Array | int | float | str | None):
+        return True
+    if isinstance(part, tuple | list):
+        return all(map(_wholly_ours, part))
+    return callable(part) and of_this_package(part)

@@ -1,0 +1,5 @@
+"""The error of a request that cannot be solved as it stands."""
+
+
+class InvalidProblem(ValueError):
+    """A problem, or a guess for it, contradicts itself; the message names the field, the value and the likely cause."""

@@ -1,0 +1,85 @@
+"""A first guess: a straight line in the state space."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxscp.core.arrays import namespace
+from jaxscp.core.types import Scalar
+from jaxscp.problem.boundary import fixed_values
+from jaxscp.problem.bounds import control_bounds
+from jaxscp.problem.errors import InvalidProblem
+from jaxscp.problem.problem import OptimalControlProblem
+from jaxscp.problem.time import FixedTime
+from jaxscp.problem.trajectory import Trajectory
+
+
+def straight_line(problem: OptimalControlProblem, final_time: Scalar | float | None = None) -> Trajectory:
+    """States on a straight line between the ends, and controls as near zero as their bounds allow.
+
+    A component that is free at one end has the value of the other end; one that is free at both is zero.
+
+    Args:
+        problem: whose ends are given by ``fixed_state``.
+        final_time: in s; by default the fixed duration, or the geometric mean of a free time's limits.
+
+    Raises:
+        InvalidProblem: for an end given by a function, which has no value to start from; the message names it.
+
+    Example:
+        >>> import jaxscp
+        >>> problem = jaxscp.OptimalControlProblem(
+        ...     dynamics=jaxscp.DoubleIntegrator(1),
+        ...     cost=jaxscp.Cost(terminal=lambda x, t, p: t),
+        ...     boundary=jaxscp.Boundary(jaxscp.fixed_state([0.0, 0.0]), jaxscp.fixed_state([1.0, None])),
+        ...     time=jaxscp.Time(nodes=3, final=jaxscp.FreeTime(1.0, 4.0)),
+        ... )
+        >>> jaxscp.straight_line(problem).state.tolist()
+        [[0.0, 0.0], [0.5, 0.0], [1.0, 0.0]]
+    """
+    nodes, states = problem.time.nodes, problem.dynamics.state_size
+    ends = []
+    for where in ("initial", "final"):
+        condition = getattr(problem.boundary, where)
+        values = fixed_values(condition, states)
+        if values is None:
+            names = ", ".join(rows.name for rows in condition.rows) or "its rows"
+            raise InvalidProblem(
+                f"boundary.{where}: {names} are given by a function, so that a straight line has no end there. Give a "
+                "guess by Trajectory.from_arrays(times, states, controls)."
+            )
+        if len(values) != states or any(c >= states for c in condition.function.chosen):
+            raise InvalidProblem(f"boundary.{where}: fixes a component that the {states} states lack.")
+        ends.append(values)
+    pairs = [_both(first, last) for first, last in zip(*ends, strict=True)]
+    xp = namespace(pairs)
+    first, last = (xp.stack([xp.asarray(v, float) for v in end]) for end in zip(*pairs, strict=True))
+    fraction = np.linspace(0.0, 1.0, nodes)[:, None]
+    state = (1.0 - fraction) * first + fraction * last
+    duration = _duration(problem) if final_time is None else final_time
+    time = jnp.linspace(0.0, 1.0, nodes) * duration
+    dilation = jnp.broadcast_to(jnp.asarray(duration, float), (nodes,))
+    return Trajectory(time, jnp.asarray(state), _controls(problem), dilation)
+
+
+def _both(first: Any, last: Any) -> tuple[Any, Any]:
+    if first is None and last is None:
+        return 0.0, 0.0
+    return (last if first is None else first), (first if last is None else last)
+
+
+def _duration(problem: OptimalControlProblem) -> Scalar:
+    final = problem.time.final
+    return final.duration if isinstance(final, FixedTime) else jnp.sqrt(final.lower * final.upper)
+
+
+def _controls(problem: OptimalControlProblem) -> jax.Array:
+    """Zero, or the nearest value within the bounds, at every node."""
+    control = jnp.zeros(problem.dynamics.control_size)
+    for constraint in problem.constraints:
+        for side, limit in control_bounds(constraint):
+            chosen = slice(None) if side.chosen is None else jnp.array(side.chosen, int)
+            control = control.at[chosen].min(limit) if side.upper else control.at[chosen].max(limit)
+    return jnp.broadcast_to(control, (problem.time.nodes, control.shape[0]))

@@ -1,0 +1,105 @@
+"""Typical sizes of a problem with a scale: given ones, and those measured at the guess. They have no derivatives."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxscp.core.types import Scalar
+from jaxscp.problem.boundary import END_TOLERANCE, Boundary
+from jaxscp.problem.constraint import Constraint
+from jaxscp.problem.cost import Cost
+from jaxscp.problem.problem import OptimalControlProblem
+from jaxscp.problem.scale import Scale
+from jaxscp.problem.trajectory import Trajectory
+
+
+class Sizes(eqx.Module):
+    """Sizes of all quantities of a problem."""
+
+    state: Float[Array, "states"]
+    control: Float[Array, "controls"]
+    time: Scalar
+    cost: Scalar
+    initial: Float[Array, "_"]
+    """Of the rows of the initial condition."""
+    final: Float[Array, "_"]
+    """Of the rows of the final condition."""
+    coupled: Float[Array, "_"] | None
+    """Of the rows of the condition on both ends."""
+
+
+def measured_sizes(problem: OptimalControlProblem, scale: Scale, guess: Trajectory) -> Sizes:
+    """The scale's sizes, and those of cost and end conditions at the guess."""
+    problem, scale, guess = jax.lax.stop_gradient((problem, scale, guess))
+    ends = problem.boundary
+    first, last, final_time = guess.state[0], guess.state[-1], guess.time[-1]
+    coupled = None
+    if ends.coupled is not None:
+        jacobian = jax.jacfwd(ends.coupled.value)(first, last, final_time)
+        coupled = _row_sizes(jacobian, scale.state)
+    return Sizes(
+        state=scale.state,
+        control=scale.control,
+        time=scale.time,
+        cost=_size_of_cost(problem.cost, guess) if scale.cost is None else scale.cost,
+        initial=_row_sizes(jax.jacfwd(ends.initial.value)(first, 0.0), scale.state),
+        final=_row_sizes(jax.jacfwd(ends.final.value)(last, final_time), scale.state),
+        coupled=coupled,
+    )
+
+
+def _row_sizes(jacobian: Float[Array, "rows inputs"], sizes: Float[Array, "inputs"]) -> Float[Array, "rows"]:
+    """Change of each row if every input changes by its own size; one where that is nothing."""
+    return _or_one(jnp.abs(jacobian) @ sizes)
+
+
+def _or_one(size: Array) -> Array:
+    return jnp.where(size > 0.0, size, 1.0)
+
+
+def _size_of_cost(cost: Cost, guess: Trajectory) -> Scalar:
+    """Cost of a guess, by the trapezium rule; one where it costs nothing."""
+    per_node = cost.parameters if cost.per_node else ()
+    at: Any = lambda p: p if cost.per_node else cost.parameters  # noqa: E731
+    running = lambda x, u, t, p: cost.running(x, u, t, at(p))  # noqa: E731
+    rate = jax.vmap(running)(guess.state, guess.control, guess.time, per_node)
+    last = at(jax.tree.map(lambda v: v[-1], per_node))
+    total = jnp.sum(0.5 * (rate[1:] + rate[:-1]) * jnp.diff(guess.time))
+    return _or_one(jnp.abs(total + cost.terminal(guess.state[-1], guess.time[-1], last)))
+
+
+def size_of_constraint(c: Constraint, scale: Scale, guess: Trajectory) -> Scalar:
+    """Largest change of a value if state and control change by their own sizes, at the guess."""
+    c, scale, guess = jax.lax.stop_gradient((c, scale, guess))
+    function = c.with_parameters(c.function)
+    if c.where.across:
+        both = jnp.append(scale.control, scale.time)
+        sizes, intervals = jnp.concatenate([both, both]), guess.nodes - 1
+        ends = jnp.concatenate([guess.control, guess.dilation[:, None]], axis=1)
+        parameters = jax.tree.map(lambda v: v[:-1], c.node_parameters())
+        slopes = jax.jacfwd(lambda a, b, p: function(a, b, 1.0 / intervals, p), argnums=(0, 1))
+        jacobian = jnp.concatenate(jax.vmap(slopes)(ends[:-1], ends[1:], parameters), axis=-1)
+    else:
+        sizes = jnp.concatenate([scale.state, scale.control])
+        slopes = jax.jacfwd(function, argnums=(0, 1))
+        found = jax.vmap(slopes)(guess.state, guess.control, guess.time, c.node_parameters())
+        jacobian = jnp.concatenate(found, axis=-1)
+    return _or_one(jnp.max(jnp.abs(jacobian) @ sizes))
+
+
+def end_tolerances(boundary: Boundary, sizes: Sizes | None) -> dict[str, list[Array]]:
+    """Tolerance of each group of rows, for the start, the end, and both."""
+    found: dict[str, list[Array]] = {}
+    for where in ("initial", "final", "coupled"):
+        condition, first = getattr(boundary, where), 0
+        for rows in condition.rows if condition is not None else ():
+            size = (
+                jnp.ones(()) if sizes is None else jnp.max(getattr(sizes, where)[first : first + rows.count])
+            )
+            given = END_TOLERANCE * size if rows.tolerance is None else jnp.asarray(rows.tolerance, float)
+            found.setdefault(where, []).append(given)
+            first += rows.count
+    return found

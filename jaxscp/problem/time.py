@@ -1,0 +1,52 @@
+"""The final time, free or fixed, and the number of nodes."""
+
+from typing import Any
+
+import equinox as eqx
+from jaxtyping import Array
+
+from jaxscp.core.arrays import floats
+from jaxscp.core.types import Scalar
+
+
+def _pair(value: Any) -> tuple[Array, Array] | None:
+    return None if value is None else (floats(value[0]), floats(value[1]))
+
+
+class FreeTime(eqx.Module):
+    """A final time between two limits.
+
+    Args:
+        lower: least final time in s.
+        upper: greatest final time in s.
+        dilation: (least, greatest) dt/dtau in s, the time that a node's neighbourhood may stretch to. By default both
+            limits above serve, which keeps the mesh near uniform where the final time is near one of them. With it,
+            time becomes a state.
+    """
+
+    lower: Scalar = eqx.field(converter=floats)
+    upper: Scalar = eqx.field(converter=floats)
+    dilation: tuple[Scalar, Scalar] | None = eqx.field(converter=_pair, default=None)
+
+
+class FixedTime(eqx.Module):
+    """A final time that is given, on a mesh that is uniform in time.
+
+    Args:
+        duration: in s.
+    """
+
+    duration: Scalar = eqx.field(converter=floats)
+
+
+class Time(eqx.Module):
+    """Nodes and final time; the start is at zero.
+
+    Example:
+        >>> import jaxscp
+        >>> free = jaxscp.Time(nodes=30, final=jaxscp.FreeTime(1.0, 20.0))
+        >>> fixed = jaxscp.Time(nodes=30, final=jaxscp.FixedTime(4.0))
+    """
+
+    nodes: int = eqx.field(static=True)
+    final: FreeTime | FixedTime

@@ -1,0 +1,135 @@
+"""From a scenario to a certified solution, in three compiled programs: set up, solve, conclude.
+
+The first depends on the scenario's shape (polytopes, say), and is small. All scenarios with the same nodes and rows
+share the others, which are large: the solver and the verifier, compiled in parallel. The outputs of each part are the
+inputs of the next.
+"""
+
+import functools
+import os
+import pathlib
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.core import Tracer
+
+from jaxscp.aot import aot, export, planner_cache
+from jaxscp.backends.xla import jit_with_options
+from jaxscp.core.status import Status
+from jaxscp.core.types import Flag
+from jaxscp.problem.canonical import canonical
+from jaxscp.problem.lowering import over_scaled_time
+from jaxscp.problem.scaled_time import ScaledTimeProblem
+from jaxscp.scp.method import Method, MethodResult, iterate
+from jaxscp.solver.conclude import conclude
+from jaxscp.solver.load import load_planner
+from jaxscp.solver.scenario import Scenario
+from jaxscp.solver.solution import Solution
+
+
+class Pipeline(eqx.Module):
+    """Static choices; one shape of scenario compiles once for each.
+
+    Args:
+        nodes: N; the trajectory has N - 1 intervals.
+        method: that solves.
+        samples: points an interval at which the certificate checks the constraints.
+    """
+
+    nodes: int
+    method: Method
+    samples: int
+
+    def __call__(self, scenario: Scenario) -> Solution:
+        """The solution of a scenario."""
+        self.check(scenario)
+        inputs = scenario.solver_inputs()
+        if (compiled := planner_cache.cached(self._maker(), inputs)) is not None:
+            return compiled.run(inputs)
+        return _conclude(self, *_solve(self, *_setup(self, inputs)))
+
+    def again(self, solution: Solution, scenario: Scenario) -> Solution:
+        """The solution of a changed scenario, from the solution of a similar one."""
+        self.check(scenario)
+        inputs = scenario.solver_inputs()
+        begun = (*_setup_again(self, inputs, solution.context), solution.z, solution.context)
+        if (compiled := planner_cache.cached(self._maker(), inputs, begun)) is not None:
+            return compiled.run_from(begun)
+        return _conclude(self, *_solve(self, *begun))
+
+    def compile(self, scenario: Scenario, batch_size: int | None = None) -> aot.CompiledPlanner:
+        """The programs, compiled for scenarios like this one."""
+        return aot.compiled(self.trace(scenario, batch_size))
+
+    def export(self, file: str | os.PathLike, traced: aot.TracedPlanner) -> None:
+        """Compile traced programs and write them to a file."""
+        if not (folder := pathlib.Path(file).absolute().parent).is_dir():
+            raise FileNotFoundError(f"{folder}: no such folder to write {os.fspath(file)} in")
+        export.write(file, traced, export.programs_of(traced))
+
+    def trace(self, scenario: Scenario, batch_size: int | None = None) -> aot.TracedPlanner:
+        """The programs for scenarios like this one, traced."""
+        # Not as parts of another program: XLA then compiles them exactly as it does for a plain call.
+        parts = [functools.partial(part.function, self) for part in (_setup, _solve, _conclude)]
+        return aot.trace(parts, scenario, self.nodes, batch_size)
+
+    def setup(self, scenario: Scenario) -> tuple[ScaledTimeProblem, Any, Any]:
+        """Problem over scaled time, first node variables and context: the inputs of the iterations."""
+        asked, context = scenario.problem(self.nodes, self.method.form)
+        guess = scenario.guess(asked, context)
+        problem = over_scaled_time(canonical(asked), self.method.form, guess)
+        return problem, problem.join(guess.state, guess.control, guess.dilation), context
+
+    def check(self, scenario: Scenario) -> None:
+        """Check a scenario whose values are known."""
+        if not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(scenario)):
+            scenario.check(self.nodes)
+
+    def _maker(self) -> planner_cache.Maker:
+        return planner_cache.Maker(self, self.trace, load_planner)
+
+
+@functools.partial(jit_with_options, static_argnums=0)
+def _setup(pipeline: Pipeline, scenario: Scenario):
+    return _strongly_typed((scenario.valid(), *pipeline.setup(scenario)))
+
+
+@functools.partial(jit_with_options, static_argnums=0)
+def _setup_again(pipeline: Pipeline, scenario: Scenario, context: Any):
+    form = pipeline.method.form
+    asked, _ = scenario.problem(pipeline.nodes, form, context)
+    return _strongly_typed((scenario.valid(), over_scaled_time(canonical(asked), form)))
+
+
+@functools.partial(jit_with_options, static_argnums=0)
+def _solve(pipeline: Pipeline, ok: Flag, problem: ScaledTimeProblem, z, context: Any):
+    return _strongly_typed((ok, problem, iterate(pipeline.method, problem, z, ok), context))
+
+
+@functools.partial(jit_with_options, static_argnums=0)
+def _conclude(
+    pipeline: Pipeline, ok: Flag, problem: ScaledTimeProblem, result: MethodResult, context: Any
+) -> Solution:
+    solution = conclude(pipeline.method, pipeline.samples, problem, result, context)
+    return _undefined_unless(ok, solution)
+
+
+def _strongly_typed(values):
+    """Without weak types: else 0.5 from Python and 0.5 from an array would each compile a solver of their own."""
+    return jax.tree.map(lambda v: jnp.asarray(v, jnp.result_type(v)), values)
+
+
+def _undefined_unless(ok, solution: Solution) -> Solution:
+    """NaN in every float and every derivative, and ``invalid_input``, for an element that is not valid."""
+
+    def one(v):
+        if not jnp.issubdtype(v.dtype, jnp.inexact):
+            return jnp.where(ok, v, jnp.zeros_like(v))
+        return jnp.where(ok, v, 0.0) * jnp.where(
+            ok, 1.0, jnp.nan
+        )  # a chosen NaN would have the derivative zero
+
+    found = jax.tree.map(one, solution)
+    return eqx.tree_at(lambda s: s.status, found, Status.where(ok, solution.status, Status.invalid_input))
