@@ -15,7 +15,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
+from jax.core import Tracer, eval_jaxpr
 from jax.interpreters.partial_eval import dce_jaxpr
 
 PACKAGE = __name__.partition(".")[0]
@@ -47,7 +47,7 @@ class Program:
             jnp.asarray(v, a.dtype)
             for v, a in zip([*first, *leaves[count:]], self.closed.in_avals, strict=True)
         ]
-        return jax.core.eval_jaxpr(self.closed.jaxpr, constants, *flat)[0]
+        return eval_jaxpr(self.closed.jaxpr, constants, *flat)[0]
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Program) and self.digest == other.digest
@@ -147,7 +147,7 @@ def _digest(program: Program, leaves: list, tracers: tuple) -> str:
     def expanded(values, first, second):
         def flat(*v):
             captured, arguments = v[: len(tracers)], v[len(tracers) :]
-            return jax.core.eval_jaxpr(program.closed.jaxpr, _merged(program, captured), *arguments)[0]
+            return eval_jaxpr(program.closed.jaxpr, _merged(program, captured), *arguments)[0]
 
         slope = lambda *v: jax.jvp(flat, v, first)  # noqa: E731
         return jax.jvp(slope, values, second)

@@ -154,7 +154,7 @@ def landing_problem(
         dynamics=mission.airframe.body,
         cost=Cost(effort, flight_time, mission.weights),
         boundary=Boundary(*_ends(mission, form)),
-        time=Time(nodes, FreeTime(mission.dilation_min, mission.dilation_max)),
+        time=Time(nodes, FreeTime(mission.dilation_min, mission.dilation_max), mesh_weight=None),
         constraints=(
             *_corridor_and_cone(mission, allocation),
             *_flight_limits(mission, nodes),
@@ -197,7 +197,7 @@ def _corridor_and_cone(s: Mission, allocation: Int[Array, "intervals"]):
         LIMIT_TOLERANCE * jnp.min(high - low),
     )
     moves = s.deck_velocity is not None
-    velocity = s.deck_velocity if moves else jnp.zeros_like(s.goal.position)
+    velocity = jnp.zeros_like(s.goal.position) if s.deck_velocity is None else s.deck_velocity
     axes = rotations.rotation_matrix(s.goal.attitude)
     cone = LandingCone(s.goal.position, velocity, axes, 1.0 / jnp.tan(s.cone_angle))
     function = inside_moving_landing_cone if moves else inside_landing_cone

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from jaxscp.cones.cone import NonNegative
 from jaxscp.core.arrays import floats, namespace
-from jaxscp.problem.constraint import Constraint
+from jaxscp.problem.constraint import AtNodes, Constraint, Throughout
 
 
 class Side(eqx.Module):
@@ -69,8 +69,15 @@ def bounds(
         raise ValueError("bounds: no limit is given; pass state=(lower, upper) or control=(lower, upper)")
     default = "bounds" if state is not None and control is not None else "state bounds"
     default = "control bounds" if state is None else default
+    # Controls are linear or constant between nodes, so that limits that hold at both hold between them.
+    where = AtNodes() if state is None else Throughout()
     return Constraint(
-        WithinBounds(tuple(sides)), NonNegative(), tuple(limits), convex=True, name=name or default
+        WithinBounds(tuple(sides)),
+        NonNegative(),
+        tuple(limits),
+        where=where,
+        convex=True,
+        name=name or default,
     )
 
 

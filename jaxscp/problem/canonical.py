@@ -16,7 +16,7 @@ import numpy as np
 from jaxscp.cones.cone import Cone
 from jaxscp.core.program import Program, identify, of_this_package
 from jaxscp.dynamics.base import Dynamics, FunctionDynamics
-from jaxscp.problem.boundary import Boundary, CoupledEnds, EndCondition, EndRows
+from jaxscp.problem.boundary import Boundary, EndCondition, EndRows
 from jaxscp.problem.constraint import Constraint, Where, name_of
 from jaxscp.problem.cost import Cost
 from jaxscp.problem.errors import InvalidProblem
@@ -164,7 +164,7 @@ def _cost(cost: Cost, x: Any, u: Any, nodes: int) -> Cost:
     if not any(captured):
         return Cost(running[0], terminal[0], leaves, cost.per_node)
     parts = [_OfPart(program, number) for number, (program, _) in enumerate((running, terminal))]
-    return Cost(*parts, (*captured, leaves), cost.per_node)
+    return Cost(parts[0], parts[1], (*captured, leaves), cost.per_node)
 
 
 class _OfPart(eqx.Module):

@@ -74,8 +74,8 @@ def _check_scale(problem: OptimalControlProblem, n: int, m: int) -> None:
 
 def check_values(problem: OptimalControlProblem, guess: Trajectory) -> None:
     """Raise ``InvalidProblem`` for numbers that contradict each other. Compiles nothing."""
-    concrete = jax.tree.map(np.asarray, (problem, guess))
-    broken = [rule.message for rule in rules(*concrete, np) if not rule.holds]
+    problem, guess = jax.tree.map(np.asarray, (problem, guess))
+    broken = [rule.message for rule in rules(problem, guess, np) if not rule.holds]
     if broken:
         raise InvalidProblem("\n".join(broken))
 
@@ -180,14 +180,18 @@ def check_functions(problem: OptimalControlProblem, guess: Trajectory) -> None:
     cost = problem.cost
     per_node = cost.parameters if cost.per_node else ()
     own = lambda p: p if cost.per_node else cost.parameters  # noqa: E731
-    rows: list[tuple[str, Callable[..., Any], tuple]] = [
+    rows: list[tuple[str, Callable[..., Any], Any]] = [
         ("dynamics", lambda v, p: problem.dynamics(*v), ()),
         ("cost.running", lambda v, p: cost.running(*v, own(p)), per_node),
     ]
     for i, c in enumerate((*problem.constraints, *problem.checks)):
         if not c.where.across:
             rows.append(
-                (f"constraints[{i}] ({c.name})", lambda v, p, c=c: c.value(*v, p), c.node_parameters())
+                (
+                    f"constraints[{i}] ({c.name})",
+                    lambda v, p, c=c: c.value(v[0], v[1], v[2], p),
+                    c.node_parameters(),
+                )
             )
     for name, function, parameters in rows:
         _check_function(name, function, (state, control, time), parameters)

@@ -16,7 +16,7 @@ from jaxscp.problem.errors import InvalidProblem
 from jaxscp.problem.form import Form
 from jaxscp.problem.problem import OptimalControlProblem
 from jaxscp.problem.scaled_time import PathConstraint, ScaledTimeProblem
-from jaxscp.problem.sizes import measured_sizes, size_of_constraint
+from jaxscp.problem.sizes import Sizes, measured_sizes, size_of_constraint
 from jaxscp.problem.time import FixedTime, FreeTime
 from jaxscp.problem.trajectory import Trajectory
 
@@ -29,7 +29,7 @@ def over_scaled_time(
     Args:
         problem: of ``canonical``.
         form: that the method solves.
-        guess: at which a problem with a scale measures its constraints; others need none.
+        guess: gives the weight of the mesh, and typical sizes of constraints if the problem has a scale.
 
     Raises:
         InvalidProblem: for a soft constraint that has no slack.
@@ -54,7 +54,18 @@ def over_scaled_time(
         carries_cost=form.carries_cost,
         carries_time=form.carries_time or len(constraints) > len(problem.constraints) or reads_time(problem),
         zero_order_hold=problem.zero_order_hold,
+        mesh_weight=_mesh_weight(problem, guess, sizes),
     )
+
+
+def _mesh_weight(
+    problem: OptimalControlProblem, guess: Trajectory | None, sizes: Sizes | None
+) -> Scalar | None:
+    """Weight of the mesh for dilations in the solver's units: relative to the duration of the guess."""
+    if isinstance(problem.time.final, FixedTime) or problem.time.mesh_weight is None or guess is None:
+        return None
+    unit = 1.0 if sizes is None else sizes.time
+    return problem.time.mesh_weight * (unit / jax.lax.stop_gradient(guess.time[-1])) ** 2
 
 
 def reads_time(problem: OptimalControlProblem) -> bool:

@@ -68,6 +68,8 @@ class ScaledTimeProblem(eqx.Module):
     carries_time: bool = eqx.field(default=False, static=True)
     """Whether time is a state (equation 11): needed where a function reads the time."""
     zero_order_hold: tuple[int, ...] = eqx.field(default=(), static=True)
+    mesh_weight: Scalar | None = None
+    """Cost of half the squared difference of two neighbours' dilations; None is no such cost."""
 
     # --- layout ---
 

@@ -8,6 +8,8 @@ from jaxtyping import Array
 from jaxscp.core.arrays import floats
 from jaxscp.core.types import Scalar
 
+MESH_WEIGHT = 1e-5  # cost that is lost to an even mesh, at most
+
 
 def _pair(value: Any) -> tuple[Array, Array] | None:
     return None if value is None else (floats(value[0]), floats(value[1]))
@@ -42,6 +44,13 @@ class FixedTime(eqx.Module):
 class Time(eqx.Module):
     """Nodes and final time; the start is at zero.
 
+    Args:
+        nodes: N; the trajectory has N - 1 intervals.
+        final: ``FreeTime(...)`` or ``FixedTime(...)``.
+        mesh_weight: with a free final time, cost of half the squared change of dt/dtau between neighbours, in units of
+            the guess's duration. Under a constant control all meshes are equally good; this picks an even one. None
+            is no such cost.
+
     Example:
         >>> import jaxscp
         >>> free = jaxscp.Time(nodes=30, final=jaxscp.FreeTime(1.0, 20.0))
@@ -50,3 +59,4 @@ class Time(eqx.Module):
 
     nodes: int = eqx.field(static=True)
     final: FreeTime | FixedTime
+    mesh_weight: float | None = eqx.field(default=MESH_WEIGHT, static=True)

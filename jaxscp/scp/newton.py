@@ -37,7 +37,7 @@ from jaxscp.scp.state import NewtonSettings, NewtonState
 from jaxscp.scp.subproblem import no_conic_multipliers, solve_subproblem
 from jaxscp.transcription.lagrangian import no_multipliers, residual
 from jaxscp.transcription.layout import stage_sizes
-from jaxscp.transcription.shooting import evaluate, linearise, linearise_with_hessian
+from jaxscp.transcription.shooting import evaluate, linearise, linearise_with_hessian, total_cost
 
 TOLERANCE_FACTORS = (100.0, 1.0)  # times the tolerances, at which the interior point is tried
 MERIT_MEMORY = 5  # accepted points whose worst merit a new one must beat
@@ -85,7 +85,7 @@ class NewtonSCP(NewtonSettings):
     def result(self, problem: ScaledTimeProblem, state: NewtonState) -> MethodResult:
         """Result of the last state, with derivatives by the implicit function theorem."""
         point = implicit_solution(problem, Point(state.z, state.multipliers), self.grid, state.is_optimum)
-        cost = jnp.sum(evaluate(problem, point.z, self.grid).cost) + problem.terminal_cost(point.z)
+        cost = total_cost(problem, point.z, evaluate(problem, point.z, self.grid))
         return MethodResult(
             z=point.z,
             cost=cost,

@@ -13,12 +13,7 @@ from jaxtyping import Array, Float
 from jaxscp.integration import dispatch, tableaus
 from jaxscp.integration.intervals import Intervals, controls_at, without_data
 from jaxscp.problem.scaled_time import ScaledTimeProblem
-from jaxscp.transcription.interval_inputs import (
-    in_variables,
-    integration_inputs,
-    last_value_cost,
-    last_value_hessian,
-)
+from jaxscp.transcription.interval_inputs import QuadraticCost, in_variables, integration_inputs
 from jaxscp.transcription.layout import interval_variables
 
 METHOD = tableaus.CLASSICAL
@@ -54,10 +49,9 @@ def discretise(
     intervals = Intervals(problem.slope, problem.state_size, METHOD, substeps, substeps)
     found, jacobian = dispatch.linearise(intervals, w, without_data(intervals, w.shape[0]))
     cost, slope = found.cost, in_variables(problem, jacobian.cost)
-    if problem.zero_order_hold:
-        last = interval_variables(problem, z)[-1]
-        cost = cost.at[-1].add(last_value_cost(problem, last))
-        slope = slope.at[-1].add(last_value_hessian(problem) @ last)
+    if (quadratic := QuadraticCost.of(problem)) is not None:
+        variables = interval_variables(problem, z)
+        cost, slope = cost + quadratic.value(variables), slope + quadratic.gradient(variables)
     return Discretisation(found.end, cost, in_variables(problem, jacobian.end), slope)
 
 

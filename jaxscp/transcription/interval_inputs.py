@@ -4,10 +4,13 @@ An interval's variables are w_i = (z_i, u_{i+1}). The integration takes controls
 things make its inputs another affine function of w:
 
 - parameters of the running cost that differ from node to node: they are further linear controls;
-- controls under zero-order hold: the one at the last node is replaced by the one at the first. The last node's own
-  value then has no effect. A quadratic cost, zero at the optimum, draws it to the value before, so that it is unique.
+- controls under zero-order hold: the one at the last node is replaced by the one at the first.
+
+Where these or the mesh leave the optimum undetermined, a small quadratic cost of every interval picks one
+(``QuadraticCost``).
 """
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -41,23 +44,39 @@ def hessian_in_variables(problem: ScaledTimeProblem, hessian: Array) -> Array:
     return hessian if matrix is None else jnp.asarray(matrix.T) @ hessian @ jnp.asarray(matrix)
 
 
-def last_value_cost(problem: ScaledTimeProblem, w: Float[Array, "inputs"]) -> Float[Array, ""]:
-    """The cost that draws the last node's controls under zero-order hold to the value before."""
-    return 0.5 * jnp.sum((_difference(problem) @ w) ** 2)
+class QuadraticCost(eqx.Module):
+    """1/2 w' hessian w of every interval: a cost that makes an optimum unique, and hardly changes it.
 
+    - The last node's own value of a control under zero-order hold has no effect. It is drawn to the value before, which
+      costs nothing at the optimum.
+    - Under a constant control, all meshes are equally good. Dilations of neighbours are drawn together, at
+      ``mesh_weight``.
+    """
 
-def last_value_hessian(problem: ScaledTimeProblem) -> np.ndarray:
-    """Its second derivatives."""
-    difference = _difference(problem)
-    return difference.T @ difference
+    hessian: Float[Array, "intervals inputs inputs"]
 
+    def value(self, w: Float[Array, "intervals inputs"]) -> Float[Array, "intervals"]:
+        """Cost of every interval."""
+        return 0.5 * jnp.einsum("iv,ivw,iw->i", w, self.hessian, w)
 
-def _difference(problem: ScaledTimeProblem) -> np.ndarray:
-    """Matrix from w to the change of every control under zero-order hold."""
-    states, own = problem.state_size, problem.variables - problem.state_size
-    identity = np.eye(states + 2 * own)
-    chosen = np.array(problem.zero_order_hold, int)
-    return identity[states + own + chosen] - identity[states + chosen]
+    def gradient(self, w: Float[Array, "intervals inputs"]) -> Float[Array, "intervals inputs"]:
+        """Gradient of every interval's cost."""
+        return jnp.einsum("ivw,iw->iv", self.hessian, w)
+
+    @classmethod
+    def of(cls, problem: ScaledTimeProblem) -> "QuadraticCost | None":
+        """That of a problem; None if it needs none."""
+        if not problem.zero_order_hold and problem.mesh_weight is None:
+            return None
+        states, own = problem.state_size, problem.variables - problem.state_size
+        identity = np.eye(states + 2 * own)
+        change = identity[states + own :] - identity[states : states + own]
+        hessian = jnp.zeros((problem.nodes - 1, *identity.shape))
+        held = change[np.array(problem.zero_order_hold, int)]
+        hessian = hessian.at[-1].add(held.T @ held)
+        if problem.mesh_weight is not None:
+            hessian += problem.mesh_weight * np.outer(change[-1], change[-1])
+        return cls(hessian)
 
 
 def _matrix(problem: ScaledTimeProblem) -> np.ndarray | None:

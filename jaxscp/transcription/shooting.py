@@ -14,17 +14,17 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxscp.cones.cone import Cone
+from jaxscp.core.types import Scalar
 from jaxscp.integration import dispatch, tableaus
 from jaxscp.integration.intervals import IntervalData, IntervalOutputs, Intervals, OutputGroup, PathOutputs
 from jaxscp.problem.end_conditions import Condition, linearised_ends
 from jaxscp.problem.multipliers import Multipliers
 from jaxscp.problem.scaled_time import PathConstraint, ScaledTimeProblem
 from jaxscp.transcription.interval_inputs import (
+    QuadraticCost,
     hessian_in_variables,
     in_variables,
     integration_inputs,
-    last_value_cost,
-    last_value_hessian,
 )
 from jaxscp.transcription.layout import interval_variables
 
@@ -83,7 +83,7 @@ def evaluate(problem: ScaledTimeProblem, z: Float[Array, "nodes variables"], gri
     """Outputs of every interval."""
     data = interval_data(problem, grid)
     found = dispatch.evaluate(intervals_of(problem, grid), integration_inputs(problem, z), data)
-    return with_last_value_cost(problem, z, by_constraint(problem, found))
+    return with_quadratic_cost(problem, z, by_constraint(problem, found))
 
 
 @eqx.filter_jit
@@ -113,8 +113,8 @@ def linearise_with_hessian(
         intervals, w, interval_data(problem, grid), weights
     )
     hessian = hessian_in_variables(problem, hessian)
-    if problem.zero_order_hold:
-        hessian = hessian.at[-1].add(last_value_hessian(problem))
+    if (quadratic := QuadraticCost.of(problem)) is not None:
+        hessian += quadratic.hessian
     return _linearisation(problem, z, found, jacobian), hessian
 
 
@@ -125,22 +125,29 @@ def _linearisation(
     jacobian: IntervalOutputs,
 ) -> Linearisation:
     jacobian = jax.tree.map(lambda v: in_variables(problem, v), jacobian)
-    outputs = with_last_value_cost(problem, z, by_constraint(problem, found))
+    outputs = with_quadratic_cost(problem, z, by_constraint(problem, found))
     slopes = by_constraint(problem, jacobian)
-    if problem.zero_order_hold:
-        slope = last_value_hessian(problem) @ interval_variables(problem, z)[-1]
-        slopes = eqx.tree_at(lambda o: o.cost, slopes, slopes.cost.at[-1].add(slope))
+    if (quadratic := QuadraticCost.of(problem)) is not None:
+        gradient = quadratic.gradient(interval_variables(problem, z))
+        slopes = eqx.tree_at(lambda o: o.cost, slopes, slopes.cost + gradient)
     return Linearisation(outputs, slopes, *linearised_ends(problem, z))
 
 
-def with_last_value_cost(
+def total_cost(problem: ScaledTimeProblem, z: Float[Array, "nodes variables"], outputs: Outputs) -> Scalar:
+    """Running and terminal cost of a point with these outputs, without the ``QuadraticCost``."""
+    total, quadratic = jnp.sum(outputs.cost) + problem.terminal_cost(z), QuadraticCost.of(problem)
+    return total if quadratic is None else total - jnp.sum(quadratic.value(interval_variables(problem, z)))
+
+
+def with_quadratic_cost(
     problem: ScaledTimeProblem, z: Float[Array, "nodes variables"], outputs: Outputs
 ) -> Outputs:
-    """Outputs with the cost that draws the last controls under zero-order hold to those before."""
-    if not problem.zero_order_hold:
+    """Outputs with the ``QuadraticCost`` of every interval, if the problem needs one."""
+    quadratic = QuadraticCost.of(problem)
+    if quadratic is None:
         return outputs
-    cost = last_value_cost(problem, interval_variables(problem, z)[-1])
-    return eqx.tree_at(lambda o: o.cost, outputs, outputs.cost.at[-1].add(cost))
+    cost = quadratic.value(interval_variables(problem, z))
+    return eqx.tree_at(lambda o: o.cost, outputs, outputs.cost + cost)
 
 
 def intervals_of(problem: ScaledTimeProblem, grid: Grid) -> Intervals:

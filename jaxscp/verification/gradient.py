@@ -15,7 +15,7 @@ from jaxscp.transcription.shooting import (
     by_constraint,
     interval_data,
     intervals_of,
-    with_last_value_cost,
+    with_quadratic_cost,
 )
 from jaxscp.verification.integrator.method import eighth_order
 
@@ -32,4 +32,4 @@ def integrated_outputs(problem: ScaledTimeProblem, z: Float[Array, "nodes variab
     ours = intervals_of(problem, grid)
     theirs = Intervals(ours.rate, ours.states, eighth_order(), grid.subintervals, 1, ours.path_outputs)
     outputs = in_jax.evaluate(theirs, integration_inputs(problem, z), interval_data(problem, grid))
-    return with_last_value_cost(problem, z, by_constraint(problem, outputs))
+    return with_quadratic_cost(problem, z, by_constraint(problem, outputs))
