@@ -5,6 +5,7 @@ compiled code. Functions of this package stay as they are: their names determine
 """
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -229,13 +230,21 @@ def _constraint(c: Constraint, index: int, x: Any, u: Any, nodes: int, where: st
 
 def _shape(function: Callable[..., Any], field: str, arguments: tuple, parameters: Any) -> tuple[int, ...]:
     """Shape of the values of a function of this package."""
+    leaves, tree = jax.tree.flatten(parameters)
+    shapes = tuple((*v.shape, str(v.dtype)) for v in leaves)
+    sizes = tuple(v.shape for v in arguments)
     try:
-        return jax.eval_shape(function, *arguments, parameters).shape
+        return _shape_of(function, sizes, tree, shapes)
     except Exception as error:
-        words = " and ".join(str(v.shape) for v in arguments[:2])
-        raise InvalidProblem(
-            f"{field}: does not fit a state and a control of shapes {words}: {error}"
-        ) from error
+        words = " and ".join(map(str, sizes[:2]))
+        raise InvalidProblem(f"{field}: does not fit a state and a control of shapes {words}: {error}") from error
+
+
+@functools.lru_cache(maxsize=1024)
+def _shape_of(function: Callable[..., Any], sizes: tuple, tree: Any, shapes: tuple) -> tuple[int, ...]:
+    leaves = [jax.ShapeDtypeStruct(shape, dtype) for *shape, dtype in shapes]
+    arguments = [jax.ShapeDtypeStruct(size, float) for size in sizes]
+    return jax.eval_shape(function, *arguments, jax.tree.unflatten(tree, leaves)).shape
 
 
 def _boundary(boundary: Boundary, x: Any) -> Boundary:
