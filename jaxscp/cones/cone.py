@@ -31,6 +31,8 @@ class Cone(eqx.Module):
 
     least_rows: ClassVar[int] = 1
     """Values that it holds at least."""
+    inequality: ClassVar[bool] = True
+    """Whether it has an interior."""
 
     @abc.abstractmethod
     def condition_rows(self, rows: int) -> int:
@@ -77,6 +79,8 @@ class Cone(eqx.Module):
 
 class Zero(Cone):
     """Every value is zero: an equality."""
+
+    inequality: ClassVar[bool] = False
 
     def condition_rows(self, rows: int) -> int:
         """One."""

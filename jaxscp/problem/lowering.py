@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxscp.cones.cone import NonNegative, Zero
+from jaxscp.cones.cone import NonNegative
 from jaxscp.core.program import reads
 from jaxscp.core.types import Scalar
 from jaxscp.problem.constraint import DISTANCE_TOLERANCE, AtNodes, Constraint
@@ -138,7 +138,7 @@ def _path_constraints(
         fields |= {"active": active, "tolerance": jnp.asarray(tolerance, float)}
         slack = None
         if c.soft is not None:
-            if c.where.across or isinstance(c.cone, Zero):
+            if c.where.across or not c.cone.inequality:
                 raise InvalidProblem(
                     f"{c.name}: a soft constraint must be an inequality at points, not across intervals or of cone "
                     "Zero()."
