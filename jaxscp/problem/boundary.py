@@ -120,7 +120,7 @@ class _SameComponents(eqx.Module):
 
 
 def fixed_state(
-    values: Sequence[Any] | Array,
+    values: Sequence[Any] | Array | np.ndarray,
     names: Sequence[str] | None = None,
     units: Sequence[str] | None = None,
     tolerance: float | None = None,

@@ -1,6 +1,6 @@
 """Lower and upper limits of states and controls."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any
 
 import equinox as eqx
@@ -43,9 +43,7 @@ class WithinBounds(eqx.Module):
         return jnp.concatenate(rows)
 
 
-def bounds(
-    state: Sequence[Any] | None = None, control: Sequence[Any] | None = None, name: str = ""
-) -> Constraint:
+def bounds(state: Any = None, control: Any = None, name: str = "") -> Constraint:
     """Limits of states and controls, at every point.
 
     Args:

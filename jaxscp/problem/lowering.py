@@ -54,6 +54,7 @@ def over_scaled_time(
         carries_cost=form.carries_cost,
         carries_time=form.carries_time or len(constraints) > len(problem.constraints) or reads_time(problem),
         zero_order_hold=problem.zero_order_hold,
+        curved_end=_reads_any(_terminal_gradient(problem)),
         mesh_weight=_mesh_weight(problem, guess, sizes),
     )
 
@@ -68,27 +69,48 @@ def _mesh_weight(
     return problem.time.mesh_weight * (unit / jax.lax.stop_gradient(guess.time[-1])) ** 2
 
 
+Reading = tuple[Callable[..., Any], int, tuple]
+"""A function, the number of one of its arguments, and its arguments."""
+
+
 def reads_time(problem: OptimalControlProblem) -> bool:
     """Whether time must be a state: a function depends on it, or the terminal cost does and is not affine in it.
 
     Terminal cost otherwise takes the final time from the dilation.
     """
     x, u = jnp.zeros(problem.dynamics.state_size), jnp.zeros(problem.dynamics.control_size)
-    cost = _of_one_node(problem.cost.parameters) if problem.cost.per_node else problem.cost.parameters
-    functions: list[tuple[Callable[..., Any], int, tuple]] = [
+    cost = _cost_parameters(problem)
+    functions: list[Reading] = [
         (problem.dynamics, 2, (x, u, 0.0)),
         (lambda x, u, t: problem.cost.running(x, u, t, cost), 2, (x, u, 0.0)),
         (problem.boundary.final.value, 1, (x, 0.0)),
-        (jax.grad(lambda t, x: problem.cost.terminal(x, t, cost)), 0, (0.0, x)),
-        (jax.grad(lambda t, x: problem.cost.terminal(x, t, cost)), 1, (0.0, x)),
     ]
+    functions += _terminal_gradient(problem)[:2]
     if problem.boundary.coupled is not None:
         functions.append((problem.boundary.coupled.value, 2, (x, x, 0.0)))
     for c in (*problem.constraints, *problem.checks):
         if not c.where.across:
             p = _of_one_node(c.node_parameters())
             functions.append((lambda x, u, t, c=c, p=p: c.value(x, u, t, p), 2, (x, u, 0.0)))
+    return _reads_any(functions)
+
+
+def _reads_any(functions: list[Reading]) -> bool:
     return any(reads(function, argument, *arguments) for function, argument, arguments in functions)
+
+
+def _terminal_gradient(problem: OptimalControlProblem) -> list[Reading]:
+    """Gradient of the terminal cost in time, by time and state; then in the state, by the state."""
+    x, cost = jnp.zeros(problem.dynamics.state_size), _cost_parameters(problem)
+    in_time = jax.grad(lambda t, x: problem.cost.terminal(x, t, cost))
+    in_state = jax.grad(lambda x, t: problem.cost.terminal(x, t, cost))
+    return [(in_time, 0, (0.0, x)), (in_time, 1, (0.0, x)), (in_state, 0, (x, 0.0))]
+
+
+def _cost_parameters(problem: OptimalControlProblem) -> Any:
+    """Of one node."""
+    parameters = problem.cost.parameters
+    return _of_one_node(parameters) if problem.cost.per_node else parameters
 
 
 def _of_one_node(parameters: Any) -> Any:

@@ -6,8 +6,9 @@
 ``scaled_time`` has the form that is solved.
 """
 
+from typing import Any
+
 import equinox as eqx
-import jax
 
 from jaxscp.core.trees import named_leaves
 from jaxscp.dynamics.base import Dynamics
@@ -55,6 +56,6 @@ class OptimalControlProblem(eqx.Module):
     checks: tuple[Constraint, ...] = ()
     zero_order_hold: tuple[int, ...] = eqx.field(default=(), static=True)
 
-    def arrays(self) -> dict[str, jax.Array]:
+    def arrays(self) -> dict[str, Any]:
         """All numbers by their names: what a solver from a file takes in place of the problem."""
         return dict(named_leaves(self))

@@ -68,6 +68,8 @@ class ScaledTimeProblem(eqx.Module):
     carries_time: bool = eqx.field(default=False, static=True)
     """Whether time is a state (equation 11): needed where a function reads the time."""
     zero_order_hold: tuple[int, ...] = eqx.field(default=(), static=True)
+    curved_end: bool = eqx.field(default=False, static=True)
+    """Whether the terminal cost has second derivatives."""
     mesh_weight: Scalar | None = None
     """Cost of half the squared difference of two neighbours' dilations; None is no such cost."""
 
@@ -213,6 +215,11 @@ class ScaledTimeProblem(eqx.Module):
             parameters = jax.tree.map(lambda v: v[-1], parameters)
         cost = self.cost.terminal(state, time, parameters)
         return cost if self.sizes is None else cost / self.sizes.cost
+
+    def terminal_hessian(self, z: Float[Array, "nodes variables"]) -> Float[Array, "states states"]:
+        """Second derivatives of the terminal cost in the last state; a curved one finds its time there."""
+        n = self.state_size
+        return jax.hessian(lambda state: self.terminal_cost(z.at[-1, :n].set(state)))(z[-1, :n])
 
     # --- constraints ---
 

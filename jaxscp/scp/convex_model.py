@@ -44,6 +44,7 @@ def convex_model(problem: ScaledTimeProblem, state: NewtonState) -> ConvexModel:
     stage, inputs = problem.variables, scale.shape[0]
     metric = projected(scaled_hessian(state.hessian, scale)).hessian
     of_node = (jnp.arange(inputs) < stage).astype(scale.dtype)  # the proximal term counts each node once
+    end = _terminal_hessian(problem, state, scale)
     plain = _Quadratic(
         hessian=jnp.pad(metric, ((0, 1), (0, 0), (0, 0))) + state.proximal * jnp.diag(of_node),
         gradient=jnp.zeros((problem.nodes, inputs), scale.dtype),
@@ -52,6 +53,8 @@ def convex_model(problem: ScaledTimeProblem, state: NewtonState) -> ConvexModel:
         state.full_hessian, lambda fixed, _: _along_horizon(*fixed), (problem, state, scale), plain
     )
     hessian = chosen.hessian.at[-1].add(jnp.diag(1.0 - of_node))  # the last stage's U_{i+1} has no meaning
+    if end is not None:
+        hessian = hessian.at[-1, : problem.state_size, : problem.state_size].add(end.convex)
     return ConvexModel(hessian / scale / scale[:, None], chosen.gradient / scale, metric, scale)
 
 
@@ -76,6 +79,8 @@ def _along_horizon(
         at_limit[-1, :stage] + 0.5 * state.proximal * (jnp.arange(stage) >= n).astype(scale.dtype)
     )
     final = final.at[:n, :n].add(ACTIVE_PENALTY * ends.T @ ends)
+    if (end := _terminal_hessian(problem, state, scale)) is not None:
+        final = final.at[:n, :n].add(end.rest)
     dynamics = LinearDynamics(state.linear.jacobian.end * scale / scale[:n, None], now.defect / scale[:n])
     convex = convexified_along_horizon(penalised + 0.5 * proximal, dynamics, final)
     slack_gradient = active.penalty_gradient(slacks(problem, state.linear.outputs))
@@ -84,6 +89,27 @@ def _along_horizon(
         hessian=jnp.pad(convex.hessian, ((0, 1), (0, 0), (0, 0))) + 0.5 * proximal,
         gradient=jnp.pad(gradient, ((0, 1), (0, 0))) + at_limit * beyond[:, None],
     )
+
+
+class _TerminalHessian(eqx.Module):
+    """Second derivatives of the terminal cost in scaled units, as the sum of two parts."""
+
+    convex: Float[Array, "states states"]
+    """Belongs to the last node's quadratic."""
+    rest: Float[Array, "states states"]
+    """Negative curvature, which the convexification moves along the horizon."""
+
+
+def _terminal_hessian(
+    problem: ScaledTimeProblem, state: NewtonState, scale: Float[Array, "inputs"]
+) -> _TerminalHessian | None:
+    """None for a terminal cost without second derivatives."""
+    if not problem.curved_end:
+        return None
+    whole = scaled_hessian(problem.terminal_hessian(state.z), scale[: problem.state_size])
+    values, vectors = jnp.linalg.eigh(whole)
+    convex = (vectors * jnp.maximum(values, 0.0)) @ vectors.T
+    return _TerminalHessian(convex, whole - convex)
 
 
 def scaled_hessian(hessian: Float[Array, "*b n n"], scale: Float[Array, "n"]) -> Float[Array, "*b n n"]:

@@ -87,6 +87,9 @@ def _predicted_residual(
     w = interval_variables(problem, step)
     now = state.residual
     cost = now.cost + slope + 0.5 * jnp.einsum("iw,iwv,iv->", w, state.hessian, w)
+    if problem.curved_end:
+        end = step[-1, : problem.state_size]
+        cost += 0.5 * end @ problem.terminal_hessian(state.z) @ end
     buffer = -stages[:-1, -1:, None] if has_buffer(problem) else jnp.zeros(())
     values = tuple(
         jnp.broadcast_to(jnp.zeros(()) if c.convex else buffer, v.shape)

@@ -127,9 +127,7 @@ def _undefined_unless(ok, solution: Solution) -> Solution:
     def one(v):
         if not jnp.issubdtype(v.dtype, jnp.inexact):
             return jnp.where(ok, v, jnp.zeros_like(v))
-        return jnp.where(ok, v, 0.0) * jnp.where(
-            ok, 1.0, jnp.nan
-        )  # a chosen NaN would have the derivative zero
+        return v * jnp.where(ok, 1.0, jnp.nan)  # a NaN that is chosen would have the derivative zero
 
     found = jax.tree.map(one, solution)
     return eqx.tree_at(lambda s: s.status, found, Status.where(ok, solution.status, Status.invalid_input))

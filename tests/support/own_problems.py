@@ -260,7 +260,7 @@ CASES = {
         minimum_energy_in_free_time, 100.0, lambda d: 12.0 * d**2 / 20.0**3, 10.0
     ),
     # first-order hold cannot turn in jumps, and a margin is kept between the nodes
-    "Dubins": Case(dubins, 0.2, dubins_cost, 6.0, error=1e-3),
+    "Dubins": Case(dubins, 0.5, dubins_cost, 6.0, error=1e-3),
     "brachistochrone": Case(brachistochrone, 9.81, cycloid_time, 1.5),
     "sine": Case(sine, 0.3, sine_cost),
     "linear-quadratic": Case(linear_quadratic, R, riccati_cost),

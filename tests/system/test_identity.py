@@ -132,11 +132,16 @@ def test_derivatives_and_batches_over_a_closed_over_number():
 
 
 def test_many_versions_of_one_line_are_warned_of():
+    versions = [
+        double_integrator(js.Cost(lambda x, u, t, p, k=k: k * u @ u), TIME) for k in (1.1, 1.2, 1.3, 1.4)
+    ]
     with pytest.warns(UserWarning, match="pass the number in parameters"):
-        for k in (1.1, 1.2, 1.3, 1.4):
-            js.solver.request.request(
-                double_integrator(js.Cost(lambda x, u, t, p, k=k: k * u @ u), TIME), GUESS
-            )
+        for_each(canonical, versions)
+
+
+def for_each(function, values):
+    for value in values:
+        function(value)
 
 
 def test_compiled_solver_refuses_other_problems():
