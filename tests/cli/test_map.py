@@ -1,4 +1,4 @@
-"""The command ``map``, the options that say what a map means, and the endings of requests that are wrong."""
+"""The command ``map``, options that state the meaning of a map's file, and endings of wrong requests."""
 
 import ast
 import json
@@ -39,7 +39,7 @@ def invoke(*arguments):
 
 
 def text_of(result):
-    """What was printed to people, without frames."""
+    """Text on stderr without its frame."""
     return " ".join(result.stderr.replace("│", " ").split())
 
 
