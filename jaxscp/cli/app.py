@@ -197,11 +197,12 @@ def map_command(request: MapRequest) -> None:
         cloud = request.read(request.file)
         facts = request.report(cloud)
         gap = closed_gap(cloud, request.safety_radius) if facts.accepted else 0.0
+    if gap:
+        facts = dataclasses.replace(facts, assumed=(*facts.assumed, gap_text(gap)))
     if request.as_json:
         typer.echo(json.dumps(map_facts(facts, gap), allow_nan=False))
     else:
-        lines = [str(facts), f"assumed: {gap_text(gap)}"] if gap else [str(facts)]
-        Console().print("\n".join(lines), markup=False, highlight=False, soft_wrap=True)
+        Console().print(str(facts), markup=False, highlight=False, soft_wrap=True)
     if request.picture is not None:
         draw_map(cloud, facts, start=request.start, goal=request.goal).savefig(request.picture, dpi=80)
     raise typer.Exit(0 if facts.accepted else 2)
@@ -253,18 +254,20 @@ def _corridor(request: PlanRequest, file: Path, notes: Console) -> tuple[PointCl
         try:
             result = build_corridor(points, first, last, request.safety_radius, **options)
         except ValueError:  # an assumption may be its cause
-            _print_assumptions(notes, request.report(points))
+            facts = request.report(points)
+            gap = closed_gap(points, request.safety_radius) if facts.accepted else 0.0
+            _print_assumptions(notes, facts, gap)
             raise
         _print_assumptions(notes, result.report, result.closed_gap)
     return points, result
 
 
-def _print_assumptions(notes: Console, facts: MapReport, gap: float = 0.0) -> None:
+def _print_assumptions(notes: Console, facts: MapReport, gap: float) -> None:
     for assumption in (*facts.assumed, *([gap_text(gap)] if gap else [])):
         notes.print(f"assumed: {assumption}", markup=False, soft_wrap=True)
 
 
 def main() -> None:
-    """Entry point of the program."""
+    """Switch float64 on and run the command; ``jaxscp.cli.start`` is the entry point of the program."""
     jax.config.update("jax_enable_x64", True)
     app()

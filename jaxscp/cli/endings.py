@@ -30,7 +30,8 @@ class Commands(TyperGroup):
             # the errors of Click have this method; older versions of Typer have Click beside them, newer ones within
             message = getattr(error, "format_message", None)
             if message is not None and ctx.meta[_JSON_ASKED]:
-                typer.echo(json.dumps({"status": "invalid_request", "message": message()}))
+                text = message().removeprefix("Invalid value: ")
+                typer.echo(json.dumps({"status": "invalid_request", "message": text}))
             raise
 
 

@@ -84,7 +84,7 @@ class MapReport(eqx.Module):
 
     def __str__(self) -> str:
         """The report in lines, as the command line prints it."""
-        size = " x ".join(f"{length:.3g}" for length in self.upper - self.lower)
+        size = " x ".join(f"{length:.4g}" for length in self.upper - self.lower)
         lines = [
             f"map {self.source}: {self.points} points, {self.dropped} dropped, {self.strays} stray",
             f"box {_place(self.lower)} to {_place(self.upper)} m, {size} m",

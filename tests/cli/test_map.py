@@ -3,6 +3,8 @@
 import ast
 import json
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -242,3 +244,9 @@ def test_a_message_that_names_an_argument_of_python_names_the_option_too():
             if option not in text:
                 lacking.append((place, word))
     assert not lacking
+
+
+def test_the_log_level_is_set_before_jax_is_imported():
+    code = "import sys, os, jaxscp.cli.start; print('jax' in sys.modules)"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert result.stdout.strip() == "False"
