@@ -10,10 +10,12 @@ import argparse
 import dataclasses
 import json
 import os
+import sys
 import time
 import warnings
 from collections import Counter
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import jax
@@ -87,7 +89,8 @@ REFERENCE = TangentShrinking()
 def random_maps(count: int) -> Iterator[synthetic_maps.Map]:
     kinds = list(synthetic_maps.KINDS.values())
     for seed in range(count):
-        yield kinds[seed % len(kinds)](seed // len(kinds))
+        place = kinds[seed % len(kinds)](seed // len(kinds))
+        yield dataclasses.replace(place, name=f"{place.name} {seed // len(kinds)}")
 
 
 def real_maps(folder: Path, pairs: int = 12) -> Iterator[synthetic_maps.Map]:
@@ -126,19 +129,24 @@ def safety(places: list[synthetic_maps.Map], batch_size: int) -> dict:
     Also plans through the corridors, ``batch_size`` at once (0: no plans).
     """
     found = narrow = unresolved = no_route = crashed = inside = cut = polytopes = 0
-    least, reasons = np.inf, []
-    scenarios: list[LandingScenario] = []
-    for place in places:
+    least, reasons, warned = np.inf, [], 0
+    flights: list[tuple[synthetic_maps.Map, LandingScenario]] = []
+    for number, place in enumerate(places):
+        if number % 25 == 0:
+            print(f"{number} of {len(places)} corridors", file=sys.stderr, flush=True)
         try:
-            result = build_corridor(
-                place.cloud,
-                place.start,
-                place.goal,
-                RADIUS,
-                clearance=CLEARANCE,
-                lower=place.lower,
-                upper=place.upper,
-            )
+            with warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("always", UserWarning)
+                result = build_corridor(
+                    place.cloud,
+                    place.start,
+                    place.goal,
+                    RADIUS,
+                    clearance=CLEARANCE,
+                    lower=place.lower,
+                    upper=place.upper,
+                )
+            warned += bool(caught)
         except Exception as error:  # a crash counts as a result of this benchmark
             crashed += 1
             reasons.append(f"{place.name}: {type(error).__name__}: {error}")
@@ -157,7 +165,7 @@ def safety(places: list[synthetic_maps.Map], batch_size: int) -> dict:
         if len(result.overlaps):
             least = min(least, float(result.overlaps.min()))
         if result.found and result.corridor is not None:
-            scenarios.append(through(result.corridor, at_rest(place.start), at_rest(place.goal)))
+            flights.append((place, through(result.corridor, at_rest(place.start), at_rest(place.goal))))
     solvable = len(places) - no_route
     report = {
         "maps": len(places),
@@ -167,33 +175,54 @@ def safety(places: list[synthetic_maps.Map], batch_size: int) -> dict:
         "narrow": narrow,
         "unresolved": unresolved,
         "crashed": crashed,
+        "warned": warned,
         "polytopes": polytopes,
         "points_inside": inside,
         "seeds_outside": cut,
         "min_overlap_m": least,
         "reasons": reasons,
     }
-    if not (batch_size and scenarios):
+    if not (batch_size and flights):
         return report
-    statuses = plan_statuses(scenarios, batch_size)
+    plans = planned(flights, batch_size)
+    statuses = dict(Counter(status for _, status, _ in plans))
     report["planned_fraction"] = statuses.get("converged", 0) / solvable
+    report["min_distance_m"] = min((d for _, status, d in plans if status == "converged"), default=np.nan)
+    report["not_converged"] = [f"{name}: {status}" for name, status, _ in plans if status != "converged"]
     return report | {"plans": statuses}
 
 
-def plan_statuses(scenarios: list[LandingScenario], batch_size: int) -> dict[str, int]:
-    """Number of plans by status, default planner, corridors padded to one shape."""
+def planned(
+    flights: list[tuple[synthetic_maps.Map, LandingScenario]], batch_size: int
+) -> list[tuple[str, str, float]]:
+    """Map, status and least distance to the map's points of each plan; default planner, corridors padded to one shape.
+
+    The distance is measured from the vehicle's centre, on straight lines between nodes.
+    """
+    scenarios = [scenario for _, scenario in flights]
     count = max(s.corridor.count for s in scenarios)
     faces = max(s.corridor.offsets.shape[1] for s in scenarios)
     padded = [
         dataclasses.replace(s, corridor=pad(s.corridor, s.goal.position, count, faces)) for s in scenarios
     ]
     plan = jax.vmap(Planner(nodes=NODES))
-    statuses: Counter[str] = Counter()
+    plans: list[tuple[str, str, float]] = []
     for first in range(0, len(padded), batch_size):
         batch = [padded[min(first + k, len(padded) - 1)] for k in range(batch_size)]
         solution = plan(jax.tree.map(lambda *leaves: jnp.stack(leaves), *batch))
-        statuses.update(map(str, status_names(solution.status)[: len(padded) - first]))
-    return dict(statuses)
+        names, nodes = status_names(solution.status), np.asarray(solution.trajectory.state[:, :, :3])
+        for (place, _), name, row in zip(flights[first : first + batch_size], names, nodes, strict=False):
+            plans.append((place.name, str(name), distance_to_points(place, row)))
+        if (first // batch_size) % 25 == 0:
+            print(f"{len(plans)} of {len(padded)} plans", file=sys.stderr, flush=True)
+    return plans
+
+
+def distance_to_points(place: synthetic_maps.Map, nodes: np.ndarray) -> float:
+    """Least distance in metres from lines between nodes, (nodes, 3), to the points of a map."""
+    fraction = np.linspace(0.0, 1.0, 20)[:, None]
+    ways = [a + fraction * (b - a) for a, b in pairwise(nodes)]
+    return float(np.min(KDTree(place.cloud.points).query(np.concatenate(ways))[0]))
 
 
 def sizes(places: list[synthetic_maps.Map]) -> dict:

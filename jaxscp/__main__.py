@@ -1,6 +1,6 @@
 """``python -m jaxscp``."""
 
-from jaxscp.cli.app import main
+from jaxscp.cli.start import main
 
 if __name__ == "__main__":
     main()

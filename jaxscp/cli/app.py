@@ -17,9 +17,19 @@ import typer
 from rich.console import Console
 
 from jaxscp.aot.cache_folder import use_cache
+from jaxscp.cli.endings import Commands, check_platform, refusals, told_warnings
+from jaxscp.cli.map_options import MapOptions, closed_gap, finite, gap_text, known, one_of
 from jaxscp.cli.options import with_options
-from jaxscp.cli.report import converged, print_report, report, timed
-from jaxscp.corridor import CorridorResult, PointCloud, box, build_corridor, read_cloud
+from jaxscp.cli.report import converged, map_facts, print_report, report, timed
+from jaxscp.corridor import (
+    CorridorOptions,
+    CorridorResult,
+    MapReport,
+    PointCloud,
+    box,
+    build_corridor,
+    draw_map,
+)
 from jaxscp.landing import scenarios
 from jaxscp.landing.mission import at_rest
 from jaxscp.landing.scenario import LandingScenario
@@ -43,29 +53,17 @@ MODES: dict[str, Callable[[int], Planner]] = {
     "proximal": lambda nodes: Planner(nodes=nodes, method=PTR(ProximalTrustRegion(0.02), max_iterations=200)),
 }
 
-Place = tuple[float, float, float]
 PICTURED = 0.1  # m, between the points of a cloud in pictures
-RADIUS = 0.25  # m, default distance to points of a cloud
+CLEARANCE = CorridorOptions().clearance
 
-app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_show_locals=False)
+app = typer.Typer(
+    cls=Commands, add_completion=False, no_args_is_help=True, pretty_exceptions_show_locals=False
+)
 
 
 @app.callback()
 def jaxscp() -> None:
     """Plan six-degree-of-freedom flights by sequential convex programming."""
-
-
-def _one_of(table: dict[str, Any]) -> str:
-    return f"One of: {', '.join(table)}."
-
-
-def _known(table: dict[str, Any], kind: str) -> Callable[[str | None], str | None]:
-    def check(name: str | None) -> str | None:
-        if name is not None and name not in table:
-            raise typer.BadParameter(f"no {kind} is called {name!r}; choose from {', '.join(table)}")
-        return name
-
-    return check
 
 
 def _writable(path: Path | None) -> Path | None:
@@ -101,15 +99,21 @@ def _picture(path: Path | None) -> Path | None:
     return _writable(path)
 
 
-def _place(meaning: str) -> Any:
-    return typer.Option(help=f"With --cloud: {meaning}, m.", metavar="X Y Z")
-
-
-_MODE = typer.Option(callback=_known(MODES, "mode"), metavar="NAME", help=_one_of(MODES))
-_CLOUD = typer.Option(help="Instead of a case: obstacles, .pcd .ply .xyz .npy .stl or .obj.", metavar="FILE")
-_RADIUS = typer.Option(min=0.0, help=f"With --cloud: distance to keep from points, m. [default: {RADIUS}]")
+_MODE = typer.Option(callback=known(MODES, "mode"), metavar="NAME", help=one_of(MODES))
+_CLOUD = typer.Option(
+    help="Instead of a case: a map, .pcd .ply .xyz .npy .stl .obj and others.", metavar="FILE"
+)
 _CROP = typer.Option(
-    min=0.0, help="With --cloud: ignore points so near to start or goal, m; their decks, say."
+    min=0.0,
+    callback=finite,
+    metavar="LENGTH",
+    help="Points so near to start or goal are their decks, which the vehicle may stand on, m.",
+)
+_CLEARANCE = typer.Option(
+    min=0.0,
+    callback=finite,
+    metavar="LENGTH",
+    help=f"Distance to keep besides the radius, and radius of overlaps, {CLEARANCE:g} by default, m.",
 )
 _SAVE = typer.Option(callback=_writable, help="Write the trajectory (.npz).", metavar="FILE")
 _PLOT = typer.Option(callback=_picture, help="Write a picture (.png, .pdf).", metavar="FILE")
@@ -117,27 +121,33 @@ _CACHE = typer.Option(
     callback=_cached, help="Store compiled programs here for the next run.", metavar="FOLDER"
 )
 _JSON = typer.Option("--json", help="Print one JSON object instead of tables.")
+_PICTURE = typer.Option(callback=_picture, help="Draw the map from above and from the side.", metavar="FILE")
 
 
 @dataclasses.dataclass
-class PlanRequest:
+class PlanRequest(MapOptions):
     """Arguments and options of ``jaxscp plan``."""
 
+    crop: Annotated[float | None, _CROP] = None
+    clearance: Annotated[float | None, _CLEARANCE] = None
     case: Annotated[
-        str | None, typer.Argument(callback=_known(CASES, "case"), metavar="CASE", help=_one_of(CASES))
+        str | None, typer.Argument(callback=known(CASES, "case"), metavar="CASE", help=one_of(CASES))
     ] = None
     mode: Annotated[str, _MODE] = "default"
     nodes: Annotated[int, typer.Option(min=2, help="Nodes N; the flight has N - 1 intervals.")] = 30
     cloud: Annotated[Path | None, _CLOUD] = None
-    start: Annotated[Place | None, _place("where to start")] = None
-    goal: Annotated[Place | None, _place("where to land")] = None
-    radius: Annotated[float | None, _RADIUS] = None
-    crop: Annotated[float | None, _CROP] = None
-    lower: Annotated[Place | None, _place("lower corner of the flight volume")] = None
-    upper: Annotated[Place | None, _place("upper corner of the flight volume")] = None
     save: Annotated[Path | None, _SAVE] = None
     plot: Annotated[Path | None, _PLOT] = None
     cache: Annotated[Path | None, _CACHE] = None
+    as_json: Annotated[bool, _JSON] = False
+
+
+@dataclasses.dataclass(kw_only=True)
+class MapRequest(MapOptions):
+    """Arguments and options of ``jaxscp map``."""
+
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="The map.")]
+    picture: Annotated[Path | None, _PICTURE] = None
     as_json: Annotated[bool, _JSON] = False
 
 
@@ -149,7 +159,8 @@ def plan(request: PlanRequest) -> None:
     Exit code: 0 if the plan converged, 1 if it did not, 2 if the request was wrong.
     """
     notes = Console(stderr=True, style="dim")
-    name, scenario = _scenario(request, notes)
+    check_platform()
+    name, scenario, facts = _scenario(request, notes)
     planner = MODES[request.mode](request.nodes)
     try:
         scenario.check(request.nodes)
@@ -159,12 +170,42 @@ def plan(request: PlanRequest) -> None:
     notes.print(f"planning {title}: compiling first ...")
     solution, timing = timed(planner, scenario)
     if request.as_json:
-        facts = {"case": name, "mode": request.mode, "nodes": request.nodes, **report(solution, timing)}
+        facts = {
+            "case": name,
+            "mode": request.mode,
+            "nodes": request.nodes,
+            **report(solution, timing),
+            **facts,
+        }
         typer.echo(json.dumps(facts, allow_nan=False))
     else:
         print_report(Console(), title, solution, timing)
     _write_files(request, scenario, solution)
     raise typer.Exit(0 if converged(solution) else 1)
+
+
+@app.command(name="map")
+@with_options(MapRequest)
+def map_command(request: MapRequest) -> None:
+    """Print facts about a map: points, extent, spacing, assumptions, and reasons to refuse it.
+
+    Exit code: 0 if a flight may be planned in the map, 2 if the map is refused.
+    """
+    if (request.start is None) != (request.goal is None):
+        raise typer.BadParameter("--start and --goal go together")
+    with refusals(), told_warnings(Console(stderr=True)):
+        cloud = request.read(request.file)
+        facts = request.report(cloud)
+        gap = closed_gap(cloud, request.safety_radius) if facts.accepted else 0.0
+    if gap:
+        facts = dataclasses.replace(facts, assumed=(*facts.assumed, gap_text(gap)))
+    if request.as_json:
+        typer.echo(json.dumps(map_facts(facts, gap), allow_nan=False))
+    else:
+        Console().print(str(facts), markup=False, highlight=False, soft_wrap=True)
+    if request.picture is not None:
+        draw_map(cloud, facts, start=request.start, goal=request.goal).savefig(request.picture, dpi=80)
+    raise typer.Exit(0 if facts.accepted else 2)
 
 
 def _write_files(request: PlanRequest, scenario: LandingScenario, solution: Solution) -> None:
@@ -176,44 +217,57 @@ def _write_files(request: PlanRequest, scenario: LandingScenario, solution: Solu
         summary(scenario, solution).savefig(request.plot, dpi=80)
 
 
-def _scenario(request: PlanRequest, notes: Console) -> tuple[str, LandingScenario]:
-    """Name and scenario of a request; ends the program if there is no corridor."""
-    of_cloud = (request.start, request.goal, request.radius, request.crop, request.lower, request.upper)
+def _scenario(request: PlanRequest, notes: Console) -> tuple[str, LandingScenario, dict[str, Any]]:
+    """Name and scenario of a request, and facts about its map; ends the program if there is no corridor."""
     if request.cloud is None:
         if request.case is None:
             raise typer.BadParameter(f"name a case ({', '.join(CASES)}), or give --cloud, --start and --goal")
-        if any(v is not None for v in of_cloud):
-            raise typer.BadParameter("--start, --goal, --radius, --crop, --lower and --upper go with --cloud")
-        return request.case, CASES[request.case]()
+        for_maps = [field.name for field in dataclasses.fields(MapOptions)] + ["crop", "clearance"]
+        given = [f"--{name}" for name in for_maps if getattr(request, name) is not None]
+        if given:
+            raise typer.BadParameter(f"these options go with --cloud: {', '.join(given)}")
+        return request.case, CASES[request.case](), {}
     if request.case is not None or request.start is None or request.goal is None:
         raise typer.BadParameter("--cloud needs --start and --goal, and no case")
-    points, result = _corridor(request, request.cloud)
-    notes.print(result.message)
+    points, result = _corridor(request, request.cloud, notes)
+    facts = {"map": map_facts(result.report, result.closed_gap)}
+    notes.print(result.message, markup=False)
     if result.corridor is None or not result.found:
         if request.as_json:
-            facts = {"case": request.cloud.name, "status": "no_corridor", "message": result.message}
-            typer.echo(json.dumps(facts))
+            ending = {"case": request.cloud.name, "status": "no_corridor", "message": result.message}
+            typer.echo(json.dumps({**ending, **facts}, allow_nan=False))
         raise typer.Exit(1)
     pictured = jnp.asarray(points.thinned(PICTURED).points)
     ends = at_rest(request.start), at_rest(request.goal)
-    return request.cloud.name, scenarios.through(result.corridor, *ends, pictured)
+    return request.cloud.name, scenarios.through(result.corridor, *ends, pictured), facts
 
 
-def _corridor(request: PlanRequest, file: Path) -> tuple[PointCloud, CorridorResult]:
-    """Read a cloud and build the corridor; errors of the request name its option."""
+def _corridor(request: PlanRequest, file: Path, notes: Console) -> tuple[PointCloud, CorridorResult]:
+    """Read a map and build the corridor; errors of the request name its option."""
     first, last = np.array(request.start), np.array(request.goal)
-    low, high = (None if corner is None else np.array(corner) for corner in (request.lower, request.upper))
     crop = request.crop or 0.0
-    radius = RADIUS if request.radius is None else request.radius
+    clearance = CLEARANCE if request.clearance is None else request.clearance
     decks = [box(place - crop, place + crop) for place in (first, last)] if crop else []
-    try:
-        points = read_cloud(file)
-        return points, build_corridor(points, first, last, radius, lower=low, upper=high, remove=decks)
-    except (ValueError, OSError, ImportError) as error:
-        raise typer.BadParameter(str(error)) from error
+    options = {"lower": request.lower, "upper": request.upper, "clearance": clearance, "remove": decks}
+    with refusals(), told_warnings(Console(stderr=True)):
+        points = request.read(file)
+        try:
+            result = build_corridor(points, first, last, request.safety_radius, **options)
+        except ValueError:  # an assumption may be its cause
+            facts = request.report(points)
+            gap = closed_gap(points, request.safety_radius) if facts.accepted else 0.0
+            _print_assumptions(notes, facts, gap)
+            raise
+        _print_assumptions(notes, result.report, result.closed_gap)
+    return points, result
+
+
+def _print_assumptions(notes: Console, facts: MapReport, gap: float) -> None:
+    for assumption in (*facts.assumed, *([gap_text(gap)] if gap else [])):
+        notes.print(f"assumed: {assumption}", markup=False, soft_wrap=True)
 
 
 def main() -> None:
-    """Entry point of the program."""
+    """Switch float64 on and run the command; ``jaxscp.cli.start`` is the entry point of the program."""
     jax.config.update("jax_enable_x64", True)
     app()

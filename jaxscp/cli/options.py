@@ -11,7 +11,7 @@ def with_options(options: type) -> Callable[[Callable[[Any], None]], Callable[..
     """Decorator: a function of one dataclass becomes a command with an option for each of its fields.
 
     Args:
-        options: a dataclass whose fields are annotated as Typer asks for.
+        options: a dataclass whose fields are annotated as Typer asks for; one without a default is required.
 
     Example:
         >>> import dataclasses
@@ -27,7 +27,10 @@ def with_options(options: type) -> Callable[[Callable[[Any], None]], Callable[..
     hints = typing.get_type_hints(options, include_extras=True)
     parameters = [
         inspect.Parameter(
-            field.name, inspect.Parameter.KEYWORD_ONLY, default=field.default, annotation=hints[field.name]
+            field.name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=inspect.Parameter.empty if field.default is dataclasses.MISSING else field.default,
+            annotation=hints[field.name],
         )
         for field in dataclasses.fields(options)
     ]

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from jaxscp.core.status import Status, status_names
+from jaxscp.corridor.map_report import MapReport
 from jaxscp.landing.scenario import LandingScenario
 from jaxscp.planner.planner import Planner
 from jaxscp.solver.solution import Solution
@@ -85,6 +86,27 @@ def history(solution: Solution) -> list[dict[str, Any]]:
         {"iteration": row + 1, **{name: plain(values[row]) for name, values in columns.items()}}
         for row in range(int(solution.iterations))
     ]
+
+
+def map_facts(facts: MapReport, closed_gap: float = 0.0) -> dict[str, Any]:
+    """The JSON object of a map: lengths in metres; null for a distance that no two points have."""
+    return {
+        "file": facts.source,
+        "status": "accepted" if facts.accepted else "refused",
+        "message": "; ".join(facts.refused),
+        "points": facts.points,
+        "dropped": facts.dropped,
+        "strays": facts.strays,
+        "lower": [plain(value) for value in facts.lower],
+        "upper": [plain(value) for value in facts.upper],
+        "spacing": plain(facts.spacing),
+        "radius": facts.radius,
+        "closed_gap": plain(closed_gap),
+        "inside": None if facts.inside is None else dict(zip(("start", "goal"), facts.inside, strict=True)),
+        "assumed": list(facts.assumed),
+        "warnings": list(facts.warnings),
+        "refused": list(facts.refused),
+    }
 
 
 def plain(value: Any) -> int | float | None:

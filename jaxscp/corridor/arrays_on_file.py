@@ -55,7 +55,7 @@ def _occupancy(path: Path, array: np.ndarray, request: Request) -> FileContent:
     if layout.cell is None or not layout.cell > 0:
         raise CloudFileError(
             f"{path}: an occupancy array of shape {array.shape} needs the edge of its cells in metres: "
-            "layout=FileLayout(cell=0.1)"
+            "layout=FileLayout(cell=0.1) (--cell 0.1)"
         )
     corner = np.array(layout.corner)
     if array.ndim == 3:

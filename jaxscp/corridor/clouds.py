@@ -164,6 +164,6 @@ def _warn_of_units(points: np.ndarray, source: str) -> None:
     if extent > _SUSPICIOUS_EXTENT:
         warnings.warn(
             f"{source}: the points span {extent:.0f} m. Are they in millimetres, or is there an outlier? "
-            "Positions must be in metres; of a file, state the unit: unit='mm'.",
+            "Positions must be in metres; of a file, state the unit: unit='mm' (--unit mm).",
             stacklevel=3,
         )

@@ -1,6 +1,7 @@
 """Which columns of a table are x, y and z: by their names, or by how their numbers run."""
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +37,8 @@ def named_columns(
     names = [name for name, _ in split]
     if layout.columns is not None:
         columns = [c if isinstance(c, int) else _column(path, names, c.lower()) for c in layout.columns]
+        if max(columns) >= len(names):
+            raise CloudFileError(f"{path}: no column {max(columns)} among {len(names)} (counted from 0)")
         return split[columns[0]][1], None, columns
     for patterns, frame in ((_NORTH_EAST_DOWN, "ned"), (_NAMES, None)):
         found = [_matching(names, patterns[axis]) for axis in "xyz"]
@@ -43,7 +46,9 @@ def named_columns(
             columns = [places[0] for places in found]
             return split[columns[0]][1], frame, columns
     geographic = any(re.match(r"lat|lon", name) for name in names)
-    hint = "degrees are no metres: project them first" if geographic else "name them by columns=(...)"
+    hint = (
+        "degrees are no metres: project them first" if geographic else "name them: columns=(...) (--columns)"
+    )
     raise CloudFileError(f"{path}: no columns x, y and z in its header {' '.join(header)!r}; {hint}")
 
 
@@ -74,10 +79,7 @@ def chosen_columns(
         ([1, 2, 3], ('the first column counts points; x y z are columns 2 to 4',))
     """
     if layout.columns is not None:
-        columns = [int(column) for column in layout.columns]
-        if rows.size and max(columns) >= rows.shape[1]:
-            raise CloudFileError(f"{source}: no column {max(columns)} among {rows.shape[1]} (counted from 0)")
-        return columns, ()
+        return _numbered(source, rows.shape[1] if rows.size else None, layout.columns), ()
     if rows.shape[0] < _FEWEST or rows.shape[1] < 4:
         return [0, 1, 2], ()
     first = rows[:, 0]
@@ -87,7 +89,8 @@ def chosen_columns(
     if np.all(steps > 0) and (_whole(first) or np.std(steps) < _STEADY * np.mean(steps)):
         raise CloudFileError(
             f"{source}: the first of {rows.shape[1]} columns rises from {first[0]:g} in every row: a number or a "
-            "time rather than x? Say which columns are x, y and z: columns=(1, 2, 3), counted from 0"
+            "time rather than x? Say which columns are x, y and z: columns=(1, 2, 3) (--columns 1 2 3), counted "
+            "from 0"
         )
     colour = rows[:, :3]
     if (
@@ -98,9 +101,24 @@ def chosen_columns(
     ):
         raise CloudFileError(
             f"{source}: the first three of {rows.shape[1]} columns are whole numbers from 0 to 255: a colour rather "
-            "than a position? Say which columns are x, y and z: columns=(3, 4, 5), counted from 0"
+            "than a position? Say which columns are x, y and z: columns=(3, 4, 5) (--columns 3 4 5), "
+            "counted from 0"
         )
     return [0, 1, 2], ()
+
+
+def _numbered(source: str, width: int | None, columns: Sequence[str | int]) -> list[int]:
+    """Columns of a table without names, checked against its width if that is known."""
+    named = [column for column in columns if not isinstance(column, int)]
+    if named:
+        raise CloudFileError(
+            f"{source}: no header names its columns, such as {named[0]!r}; give numbers, counted from 0: "
+            "columns=(0, 1, 2) (--columns 0 1 2)"
+        )
+    numbers = [int(column) for column in columns]
+    if width is not None and max(numbers) >= width:
+        raise CloudFileError(f"{source}: no column {max(numbers)} among {width} (counted from 0)")
+    return numbers
 
 
 def _name_and_unit(name: str) -> tuple[str, str | None]:

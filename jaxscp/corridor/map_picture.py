@@ -63,8 +63,8 @@ def draw_map(
         for style, place in zip(_ENDS, (start, goal), strict=True):
             if place is not None:
                 _end(axes, np.asarray(place, float)[[across, up]], style, radius or report.radius or 0.0)
-        if start is not None or goal is not None:
-            axes.legend(loc="upper right")
+    if start is not None or goal is not None:
+        views[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.2)
     figure.supxlabel(str(report), x=0.02, ha="left", fontsize=8, family="monospace", wrap=True)
     return figure
 

@@ -84,7 +84,7 @@ class MapReport(eqx.Module):
 
     def __str__(self) -> str:
         """The report in lines, as the command line prints it."""
-        size = " x ".join(f"{length:.3g}" for length in self.upper - self.lower)
+        size = " x ".join(f"{length:.4g}" for length in self.upper - self.lower)
         lines = [
             f"map {self.source}: {self.points} points, {self.dropped} dropped, {self.strays} stray",
             f"box {_place(self.lower)} to {_place(self.upper)} m, {size} m",
@@ -119,12 +119,12 @@ def map_report(
     """Judge a map for a flight: units, spacing, place and frame.
 
     A file whose unit or frame nobody stated is refused where its points contradict metres or z up. An array states
-    both, so that the same finding is a warning.
+    both, so that the same finding is a warning. Without start and goal, the frame and the place are not judged.
 
     Args:
         cloud: the map.
         start: (3,) start of the flight, metres; None judges the map alone.
-        goal: (3,) its goal, metres.
+        goal: (3,) its goal, metres; None judges the map alone.
         radius: safety radius of the vehicle, metres.
         lower: (3,) lower corner that the caller states for the vehicle's centre, metres.
         upper: (3,) upper corner that the caller states, metres.
@@ -141,21 +141,29 @@ def map_report(
         empty = () if origin is None else ("the file holds no point, so that no obstacle is known",)
         nowhere = np.zeros(3), np.zeros(3), float("inf")
         return MapReport(source, 0, cloud.dropped, 0, *nowhere, radius, refused=empty)
-    box = main_box(cloud.points)
-    spacing = typical_spacing(cloud.points)
-    facts = MapReport(source, cloud.count, cloud.dropped, box.strays, box.lower, box.upper, spacing, radius)
-    facts = replace(facts, assumed=_assumed(cloud, box.strays))
-    if start is None or goal is None:
-        return facts
-    corners = [None if corner is None else np.asarray(corner, float) for corner in (lower, upper)]
-    flight = Flight(np.asarray(start, float), np.asarray(goal, float), radius, *corners)
-    inside = within(flight.ends, box.lower, box.upper).tolist()
+    facts = _facts(cloud, source, radius)
+    flight, inside = None, None
+    if start is not None and goal is not None:
+        corners = [None if corner is None else np.asarray(corner, float) for corner in (lower, upper)]
+        flight = Flight(np.asarray(start, float), np.asarray(goal, float), radius, *corners)
+        first, last = within(flight.ends, facts.lower, facts.upper).tolist()
+        inside = (first, last)
     findings = list(_findings(facts, cloud, flight))
     return replace(
         facts,
-        inside=(inside[0], inside[1]),
+        inside=inside,
         warnings=tuple(text for severe, text in findings if not severe),
         refused=tuple(text for severe, text in findings if severe),
+    )
+
+
+def _facts(cloud: PointCloud, source: str, radius: float) -> MapReport:
+    """Facts about a map alone; nothing is judged."""
+    box = main_box(cloud.points)
+    counts = cloud.count, cloud.dropped, box.strays
+    assumed = _assumed(cloud, box.strays)
+    return MapReport(
+        source, *counts, box.lower, box.upper, typical_spacing(cloud.points), radius, assumed=assumed
     )
 
 
@@ -171,14 +179,16 @@ def _assumed(cloud: PointCloud, strays: int) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _findings(facts: MapReport, cloud: PointCloud, flight: Flight) -> Iterator[tuple[bool, str]]:
-    """Findings about a map and a flight, each with whether it prevents a plan."""
+def _findings(facts: MapReport, cloud: PointCloud, flight: Flight | None) -> Iterator[tuple[bool, str]]:
+    """Findings about a map and a flight, if there is one, each with whether it prevents a plan."""
     origin = cloud.provenance
     if origin is not None:
         yield from ((True, doubt) for doubt in origin.doubts)
-    yield from _unit_findings(
-        facts, flight, of_file=origin is not None, stated=origin is not None and origin.unit is not None
-    )
+    stated = origin is not None and origin.unit is not None
+    length = None if flight is None else flight.length
+    yield from _unit_findings(facts, length, of_file=origin is not None, stated=stated)
+    if flight is None:
+        return
     yield from _place_findings(facts, flight, of_file=origin is not None)
     if origin is not None and origin.frame is None and _upside_down(facts, cloud, flight):
         yield (
@@ -198,24 +208,26 @@ def _findings(facts: MapReport, cloud: PointCloud, flight: Flight) -> Iterator[t
 
 
 def _unit_findings(
-    facts: MapReport, flight: Flight, of_file: bool, stated: bool
+    facts: MapReport, length: float | None, of_file: bool, stated: bool
 ) -> Iterator[tuple[bool, str]]:
+    radius = facts.radius or 0.0
     extent = float((facts.upper - facts.lower).max())
     if facts.points > 1 and extent == 0.0:
         yield of_file, f"all of its {facts.points} points lie at {_place(facts.lower)} m"
-    elif facts.points > 1 and extent < 2.0 * flight.radius and facts.points > _FEW:
+    elif facts.points > 1 and extent < 2.0 * radius and facts.points > _FEW:
         yield (
             of_file and not stated,
-            f"the whole map is {extent:.3g} m wide, less than a vehicle of radius {flight.radius:g} m. State its unit: "
-            "unit='km' say",
+            f"the whole map is {extent:.3g} m wide, less than a vehicle of radius {radius:g} m. State its unit: "
+            "unit='km' say (--unit km)",
         )
     few = 1 if of_file else _FEW
-    wide = facts.spacing > (2.0 if of_file else 20.0) * flight.radius > 0.0
+    wide = facts.spacing > (2.0 if of_file else 20.0) * radius > 0.0
     if wide and not stated and facts.points > few and np.isfinite(facts.spacing):
         yield (
             of_file,
             f"neighbouring points are {facts.spacing:.3g} m from each other, so that a vehicle of radius "
-            f"{flight.radius:g} m passes between them; the map spans {extent:.4g} m, the flight {flight.length:.3g} m. "
+            f"{radius:g} m passes between them; the map spans {extent:.4g} m"
+            f"{'' if length is None else f', the flight {length:.3g} m'}. "
             "State the unit of the file, mm say, or m if that is right, which closes the gaps: unit='m' (--unit m)",
         )
 
@@ -223,7 +235,10 @@ def _unit_findings(
 def _place_findings(facts: MapReport, flight: Flight, of_file: bool) -> Iterator[tuple[bool, str]]:
     """Whether start and goal lie in or near the box of the map, and not below it."""
     box = f"the map's box {_place(facts.lower)} to {_place(facts.upper)} m"
-    remedy = "State where the local origin lies in the map: offset=(x, y, z), or its unit or frame"
+    remedy = (
+        "State where the local origin lies in the map, offset=(x, y, z) (--offset), its unit (--unit) or its frame "
+        "(--frame)"
+    )
     sides = np.stack([facts.lower - flight.ends, flight.ends - facts.upper])
     beyond = sides.max(axis=0)
     near = max(_NEAR, float((facts.upper - facts.lower).max()))
@@ -239,7 +254,8 @@ def _place_findings(facts: MapReport, flight: Flight, of_file: bool) -> Iterator
     ):
         yield (
             True,
-            f"{ends} both lie outside {box}, on one side of it. {remedy}; or state limits: lower= and upper=",
+            f"{ends} both lie outside {box}, on one side of it. {remedy}; or state limits: lower= and "
+            "upper= (--lower, --upper)",
         )
         return
     below = facts.lower[2] - flight.ends[:, 2]
@@ -248,7 +264,8 @@ def _place_findings(facts: MapReport, flight: Flight, of_file: bool) -> Iterator
         yield (
             True,
             f"{ends}: z lies {below.max():.3g} m below the lowest point of the map, {facts.lower[2]:g} m, where "
-            "nobody saw free space. State the offset or the frame of the map, or a limit: lower=(x, y, z)",
+            "nobody saw free space. State the offset (--offset) or the frame (--frame) of the map, or a limit: "
+            "lower=(x, y, z) (--lower)",
         )
 
 

@@ -37,7 +37,8 @@ def read_mesh(path: Path, request: Request) -> FileContent:
     points = sampled(path, corners, triangles, request)
     if suffix in (".glb", ".gltf"):
         doubt = (
-            "glTF is y up by its standard, but some programs write it z up: state the frame, 'y-up' or 'enu'"
+            "glTF is y up by its standard, but some programs write it z up. State it: frame='y-up' or frame='enu' "
+            "(--frame)"
         )
         return FileContent(points, unit="m", doubts=(doubt,))
     return FileContent(points)
@@ -76,7 +77,8 @@ def sampled(
     if samples + lengths.sum() / spacing > _MOST_SAMPLES:
         raise CloudFileError(
             f"{path}: a surface of {area:.0f} square units needs {samples} samples every {spacing:g}. Is the mesh in "
-            "metres? If not, state its unit: unit='mm'. Else choose a larger spacing between samples: spacing=1.0"
+            "metres? If not, state its unit: unit='mm' (--unit mm). Else choose a larger spacing between samples: "
+            "spacing=1.0 (--spacing 1)"
         )
     trimesh = request.load("trimesh")
     mesh = trimesh.Trimesh(corners, triangles, process=False)

@@ -62,7 +62,8 @@ def floor_plan_points(plan: FloorPlan, layout: FileLayout) -> FileContent:
     """
     if layout.height is None or not layout.height > 0:
         raise CloudFileError(
-            f"{plan.path}: a floor plan needs the height of its rooms in metres: layout=FileLayout(height=2.5)"
+            f"{plan.path}: a floor plan needs the height of its rooms in metres: layout=FileLayout(height=2.5) "
+            "(--height 2.5)"
         )
     free = np.pad(plan.free, 1)
     beside = np.asarray(scipy.ndimage.binary_dilation(free, _NEIGHBOURS[0])) & ~free

@@ -207,7 +207,7 @@ def _in_frame(
         if relative == "sensor":
             points = from_sensor(points, pose)
     elif frame == "sensor":
-        raise CloudFileError(f"{path}: has no VIEWPOINT that frame='sensor' could apply")
+        raise CloudFileError(f"{path}: has no VIEWPOINT that frame='sensor' (--frame sensor) could apply")
     known = frame or content.frame
     if known is None or np.array_equal(to_z_up(known), np.eye(3)):
         return points, notes, known

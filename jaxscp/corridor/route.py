@@ -129,7 +129,8 @@ def _space(cloud: PointCloud, start: Point, goal: Point, radius: float, options:
 def _check_end(end: int, place: str, point: Point, space: Space, spread: float) -> None:
     if np.any(point < space.lower) or np.any(point > space.upper):
         raise ValueError(
-            f"{place} is outside the limits {space.lower} to {space.upper}; state wider ones with lower= and upper="
+            f"{place} is outside the limits {space.lower} to {space.upper}; state wider ones: lower= and upper= "
+            "(--lower, --upper)"
         )
     distance = space.at_end(end, point)
     if distance < space.radius:
@@ -137,7 +138,7 @@ def _check_end(end: int, place: str, point: Point, space: Space, spread: float) 
         raise ValueError(
             f"{place} is {distance:.3f} m from the nearest obstacle point, inside the safety radius of "
             f"{space.radius:.3f} m{grown}. If the vehicle stands there, free its deck: --crop 0.5 on the command line, "
-            "remove=[box(...)] in Python. Else ask for a smaller radius"
+            "remove=[box(...)] in Python. Else ask for a smaller radius (--radius)"
         )
 
 

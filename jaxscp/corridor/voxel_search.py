@@ -111,7 +111,7 @@ def _hemmed_in(name: str, space: Space, edge: float) -> str:
     size = " x ".join(f"{length:.3g}" for length in space.upper - space.lower)
     return (
         f"{name} is hemmed in: it sees no place that keeps {space.roomy:.3g} m from every point (voxels of {edge:.3g} "
-        f"m in a volume of {size} m; closer limits make finer voxels: lower=, upper=)"
+        f"m in a volume of {size} m; closer limits make finer voxels: lower= and upper= (--lower, --upper))"
     )
 
 
@@ -178,7 +178,7 @@ def _walled_off(free: Cells, ends: list[np.ndarray], grid: Grid, space: Space, s
         return (
             f"a way keeps the safety radius of {space.radius:.3g} m, but none leaves the clearance of "
             f"{space.roomy - space.radius:.3g} m besides: ask for less clearance, clearance=0.05 say "
-            f"(voxels of {grid.edge:.3g} m)"
+            f"(--clearance 0.05; voxels of {grid.edge:.3g} m)"
         )
     regions = _regions(free)
     volume = float(np.prod(grid.step))
@@ -186,7 +186,8 @@ def _walled_off(free: Cells, ends: list[np.ndarray], grid: Grid, space: Space, s
     return (
         f"no way from start to goal keeps {space.roomy:.3g} m from every point: start reaches "
         f"{sizes[0]:.3g} m^3, goal {sizes[1]:.3g} m^3, and these do not touch (voxels of {grid.edge:.3g} m). The "
-        f"search is limited to {_words(space.lower)} to {_words(space.upper)} m; a way outside needs lower= and upper="
+        f"search is limited to {_words(space.lower)} to {_words(space.upper)} m; a way outside needs lower= and upper= "
+        "(--lower, --upper)"
     )
 
 

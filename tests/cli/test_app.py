@@ -188,7 +188,7 @@ def never_compiles(monkeypatch):
     ("arguments", "explanation"),
     [
         (["plan"], "name a case (platform, ascend), or give --cloud, --start and --goal"),
-        (["plan", "ascend", "--start", "0", "0", "1"], "go with --cloud"),
+        (["plan", "ascend", "--start", "0", "0", "1"], "go with --cloud: --start"),
         (["plan", "ascend", "--radius", "0.3"], "go with --cloud"),
         (["plan", "--cloud", "none.pcd", "--start", "0", "0", "1"], "--cloud needs --start and --goal"),
         (["plan", "--cloud", "none.pcd", *ENDS], "no such file: none.pcd"),

@@ -80,7 +80,7 @@ def case():
     def path(name):
         file = FOLDER / name
         if not file.is_file():
-            pytest.skip(f"no {name}: set JAXSCP_CASES to the folder of cases")
+            pytest.skip(f"no {name} in {FOLDER}: set JAXSCP_CASES to the folder of cases")
         return file
 
     return path

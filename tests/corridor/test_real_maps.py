@@ -19,7 +19,7 @@ LEVINE_HALLWAY = ([-1.5, 1.0, 1.0], [12.0, 26.0, 1.2])
 def test_a_corridor_through_a_real_map_holds_none_of_its_points(name):
     path = FOLDER / name
     if not path.is_file():
-        pytest.skip(f"no {name}: set JAXSCP_MAPS to the folder of real maps")
+        pytest.skip(f"no {name} in {FOLDER}: set JAXSCP_MAPS to the folder of real maps")
     pytest.importorskip("trimesh" if path.suffix == ".stl" else "pypcd4", reason="needs the extra clouds")
     cloud = read_cloud(path, spacing=0.2)
     low, high = cloud.extent
