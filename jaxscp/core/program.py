@@ -47,7 +47,7 @@ class Program:
             jnp.asarray(v, a.dtype)
             for v, a in zip([*first, *leaves[count:]], self.closed.in_avals, strict=True)
         ]
-        return eval_jaxpr(self.closed.jaxpr, constants, *flat)[0]
+        return jnp.asarray(eval_jaxpr(self.closed.jaxpr, constants, *flat)[0])
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Program) and self.digest == other.digest

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 
 from jaxscp.core.arrays import namespace
 from jaxscp.core.types import Scalar
+from jaxscp.problem.errors import InvalidProblem
 
 END_TOLERANCE = 1e-3  # of a row, in its unit: error that counts as none
 
@@ -98,8 +99,13 @@ class _Components(eqx.Module):
     """The chosen components of the state, less the given values."""
 
     chosen: tuple[int, ...] = eqx.field(static=True)
+    states: int = eqx.field(static=True)
 
     def __call__(self, state, time, value):
+        if state.shape[0] != self.states:
+            raise ValueError(
+                f"fixed_state was given {self.states} values, but there are {state.shape[0]} states"
+            )
         return state[jnp.array(self.chosen, int)] - value if self.chosen else jnp.zeros(0, state.dtype)
 
 
@@ -139,7 +145,7 @@ def fixed_state(
     rows = tuple(
         EndRows(names[i] if names else f"x[{i}]", units[i] if units else "", 1, tolerance) for i in chosen
     )
-    return EndCondition(_Components(chosen), jnp.asarray(value), rows)
+    return EndCondition(_Components(chosen, len(values)), jnp.asarray(value), rows)
 
 
 def periodic(components: Sequence[int] | None = None, name: str = "period", unit: str = "") -> CoupledEnds:
@@ -159,6 +165,10 @@ def fixed_values(condition: EndCondition, states: int) -> list[Any] | None:
     """What ``fixed_state`` was given, None where free; None for a condition given by another function."""
     if not isinstance(condition.function, _Components):
         return None
+    if condition.function.states != states:
+        raise InvalidProblem(
+            f"fixed_state: {condition.function.states} values were given, but dynamics has {states} states."
+        )
     values: list[Any] = [None] * states
     for number, component in enumerate(condition.function.chosen):
         values[component] = jax.tree.leaves(condition.parameters)[0][number]

@@ -21,6 +21,8 @@ class Side(eqx.Module):
     upper: bool = eqx.field(static=True)
     chosen: tuple[int, ...] | None = eqx.field(static=True)
     """None for one limit of all components."""
+    size: int = eqx.field(static=True, default=0)
+    """Number of limits that were given; of any vector for one limit of all."""
 
 
 class WithinBounds(eqx.Module):
@@ -33,6 +35,9 @@ class WithinBounds(eqx.Module):
         rows = []
         for side, limit in zip(self.sides, limits, strict=True):
             vector = control if side.of_control else state
+            if side.chosen is not None and side.size != vector.shape[0]:
+                which = "controls" if side.of_control else "states"
+                raise ValueError(f"bounds was given {side.size} limits of {vector.shape[0]} {which}")
             part = vector if side.chosen is None else vector[jnp.array(side.chosen, int)]
             rows.append(limit - part if side.upper else part - limit)
         return jnp.concatenate(rows)
@@ -63,7 +68,7 @@ def bounds(
         for upper, limit in enumerate(pair if pair is not None else ()):
             chosen, values = _limited(limit)
             if values is not None:
-                sides.append(Side(of_control, bool(upper), chosen))
+                sides.append(Side(of_control, bool(upper), chosen, np.size(limit)))
                 limits.append(values)
     if not sides:
         raise ValueError("bounds: no limit is given; pass state=(lower, upper) or control=(lower, upper)")

@@ -13,6 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from jaxscp.cones.cone import Cone
 from jaxscp.core.program import Program, identify, of_this_package
@@ -87,11 +88,16 @@ def array(value: Any, field: str) -> jax.Array:
                 f"{field}: holds a {type(value).__name__}; parameters are numbers and arrays. Let the function close "
                 "over other objects."
             )
-        value = jnp.asarray(np.asarray(value))
+        value = np.asarray(value)
+        if value.ndim == 0 and np.issubdtype(value.dtype, np.integer):
+            value = value.astype(float)  # a weight of 2 is one of 2.0
+        value = jnp.asarray(value)
     if value.dtype not in (jnp.float64, jnp.int64, jnp.int32, jnp.bool_):
         raise InvalidProblem(
             f"{field}: expected float64, got {value.dtype}. Was the array made before jax_enable_x64 was set?"
         )
+    if not isinstance(value, Tracer) and np.isnan(np.asarray(value)).any():
+        raise InvalidProblem(f"{field}: holds a value that is not a number (NaN).")
     return value
 
 
@@ -237,7 +243,9 @@ def _shape(function: Callable[..., Any], field: str, arguments: tuple, parameter
         return _shape_of(function, sizes, tree, shapes)
     except Exception as error:
         words = " and ".join(map(str, sizes[:2]))
-        raise InvalidProblem(f"{field}: does not fit a state and a control of shapes {words}: {error}") from error
+        raise InvalidProblem(
+            f"{field}: does not fit a state and a control of shapes {words}: {error}"
+        ) from error
 
 
 @functools.lru_cache(maxsize=1024)

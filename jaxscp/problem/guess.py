@@ -50,8 +50,6 @@ def straight_line(problem: OptimalControlProblem, final_time: Scalar | float | N
                 f"boundary.{where}: {names} are given by a function, so that a straight line has no end there. Give a "
                 "guess by Trajectory.from_arrays(times, states, controls)."
             )
-        if len(values) != states or any(c >= states for c in condition.function.chosen):
-            raise InvalidProblem(f"boundary.{where}: fixes a component that the {states} states lack.")
         ends.append(values)
     pairs = [_both(first, last) for first, last in zip(*ends, strict=True)]
     xp = namespace(pairs)

@@ -8,7 +8,7 @@ from jaxtyping import Array
 from jaxscp.core.arrays import floats
 from jaxscp.core.types import Scalar
 
-MESH_WEIGHT = 1e-5  # cost that is lost to an even mesh, at most
+MESH_WEIGHT = 3e-4  # cost that is lost to an even mesh, at most
 
 
 def _pair(value: Any) -> tuple[Array, Array] | None:

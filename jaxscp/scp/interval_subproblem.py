@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 from jaxscp.cones.kinds import by_cone
 from jaxscp.conic.program import Cones, ConicMultipliers, CouplingRows, HalfSpaceRows, StagedProgram
 from jaxscp.problem.end_conditions import Condition
+from jaxscp.problem.errors import InvalidProblem
 from jaxscp.problem.multipliers import Multipliers
 from jaxscp.problem.scaled_time import PathConstraint, ScaledTimeProblem
 from jaxscp.transcription.layout import cost_gradient
@@ -89,18 +90,18 @@ def nlp_multipliers(
 
 
 def check(problem: ScaledTimeProblem) -> None:
-    """Raise ``ValueError`` for a problem without such a subproblem; the message names the constraint."""
+    """Raise ``InvalidProblem`` for a problem without such a subproblem; the message names the constraint."""
     if problem.carries_cost:
         raise ValueError("carries_cost: this form keeps the running cost out of the states; leave it False")
     kinds = _by_cone(problem)
     for i, constraint in enumerate(problem.constraints):
         if i in kinds.zero:
-            raise ValueError(
+            raise InvalidProblem(
                 f"{constraint.name}: equality constraints on the path are not supported by this method; state it as "
                 "a thin inequality, or as a boundary condition"
             )
         if not constraint.convex and i not in kinds.nonnegative:
-            raise ValueError(
+            raise InvalidProblem(
                 f"{constraint.name}: a constraint that is not convex must be of cone NonNegative()"
             )
 

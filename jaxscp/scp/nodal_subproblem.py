@@ -9,6 +9,7 @@ from jaxscp.cones.kinds import by_cone
 from jaxscp.conic.program import Cones, CouplingRows, HalfSpaceRows, NormCost, StagedProgram
 from jaxscp.core.types import Scalar
 from jaxscp.problem.end_conditions import Condition, linearised_ends
+from jaxscp.problem.errors import InvalidProblem
 from jaxscp.problem.scaled_time import PathConstraint, ScaledTimeProblem
 from jaxscp.transcription.discretise import Discretisation
 
@@ -94,11 +95,11 @@ def nodal_subproblem(
         The subproblem, and the cost without its penalties.
 
     Raises:
-        ValueError: for a constraint across intervals; the message names it.
+        InvalidProblem: for a constraint across intervals; the message names it.
     """
     for constraint in problem.constraints:
         if constraint.where.across:
-            raise ValueError(
+            raise InvalidProblem(
                 f"{constraint.name}: this method has no constraints across intervals; use NewtonSCP."
             )
     cost = linear_cost(problem, reference, flow)

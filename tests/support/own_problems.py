@@ -32,7 +32,9 @@ class Case(NamedTuple):
 def double_integrator(cost, time, goal=1.0, limit=None, **more):
     """From rest to rest over the distance ``goal``."""
     constraints = () if limit is None else (js.bounds(control=(-limit, limit)),)
-    ends = js.Boundary(js.fixed_state([0.0, 0.0]), js.fixed_state([goal, 0.0], ("position", "velocity"), ("m", "m/s")))
+    ends = js.Boundary(
+        js.fixed_state([0.0, 0.0]), js.fixed_state([goal, 0.0], ("position", "velocity"), ("m", "m/s"))
+    )
     return js.OptimalControlProblem(js.DoubleIntegrator(1), cost, ends, time, constraints, **more)
 
 
@@ -254,7 +256,9 @@ def loop(weight):
 CASES = {
     "minimum time": Case(minimum_time, 1.0, lambda d: 2.0 * np.sqrt(d / 2.0), 2.0),
     "minimum energy": Case(minimum_energy, 2.0, lambda t: 12.0 / t**3),
-    "minimum energy, free time": Case(minimum_energy_in_free_time, 100.0, lambda d: 12.0 * d**2 / 20.0**3, 10.0),
+    "minimum energy, free time": Case(
+        minimum_energy_in_free_time, 100.0, lambda d: 12.0 * d**2 / 20.0**3, 10.0
+    ),
     # first-order hold cannot turn in jumps, and a margin is kept between the nodes
     "Dubins": Case(dubins, 0.2, dubins_cost, 6.0, error=1e-3),
     "brachistochrone": Case(brachistochrone, 9.81, cycloid_time, 1.5),

@@ -1,0 +1,105 @@
+"""Problems of the user's own, through the front door: optima, batches, gradients, files, and what compiles."""
+
+import subprocess
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxscp as js
+from tests.support.own_problems import CASES
+
+SAME = 1e-8  # relative: a batch and single calls end at the same optimum, to the interior point's tolerance
+DIFFERENCE = 1e-4  # relative: a gradient against central differences
+STEP = 1e-3  # of differences, relative to the number
+BATCH = 16
+
+# Each case compiles for ten seconds or more. Two stand for all in the short tests.
+SHORT = {"Dubins", "periodic"}
+EVERY_CASE = pytest.mark.parametrize(
+    "name", [name if name in SHORT else pytest.param(name, marks=pytest.mark.slow) for name in CASES]
+)
+EVERY_CASE_SLOWLY = pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) for name in CASES]
+)
+
+
+def request_of(name):
+    case = CASES[name]
+    problem = case.problem(case.value)
+    return case, problem, case.guess(problem)
+
+
+def solve_with(name, guess, number):
+    return js.solve(CASES[name].problem(number), guess)
+
+
+@EVERY_CASE
+def test_optimum(name):
+    """Cost of the exact optimum, and a certificate that passed."""
+    case, problem, guess = request_of(name)
+    solution = js.solve(problem, guess)
+    assert js.status_names(solution.status) == "converged"
+    assert bool(solution.differentiable)
+    assert bool(solution.certificate.passed())
+    np.testing.assert_allclose(solution.cost, case.exact(case.value), rtol=case.error)
+
+
+@EVERY_CASE_SLOWLY
+def test_batch_equals_single_calls(name):
+    case, _, guess = request_of(name)
+    numbers = case.value * np.linspace(0.97, 1.03, BATCH)
+    batch = jax.vmap(lambda v: solve_with(name, guess, v))(jnp.asarray(numbers))
+    singles = [solve_with(name, guess, float(v)) for v in numbers]
+    assert set(js.status_names(batch.status)) == {"converged"}
+    np.testing.assert_allclose(batch.cost, [float(s.cost) for s in singles], rtol=SAME)
+    np.testing.assert_allclose(batch.final_time, [float(s.final_time) for s in singles], rtol=SAME)
+
+
+@EVERY_CASE_SLOWLY
+def test_gradient_agrees_with_differences(name):
+    case, _, guess = request_of(name)
+    cost = lambda v: solve_with(name, guess, v).cost  # noqa: E731
+    gradient = jax.grad(cost)(case.value)
+    step = STEP * case.value
+    difference = (cost(case.value + step) - cost(case.value - step)) / (2.0 * step)
+    np.testing.assert_allclose(gradient, difference, rtol=DIFFERENCE)
+
+
+LOAD = """
+import sys, jax, numpy as np
+jax.config.update("jax_enable_x64", True)
+import jax.numpy as jnp, jaxscp as js
+file, arrays = sys.argv[1:]
+with np.load(arrays) as stored:
+    numbers = {name[2:]: jnp.asarray(stored[name]) for name in stored if name[:2] == "p:"}
+    guess = js.Trajectory(*(jnp.asarray(stored["g:" + part]) for part in ("time", "state", "control", "dilation")))
+solution = js.load(file)(numbers, guess)
+assert "tests.support.own_problems" not in sys.modules
+print(js.status_names(solution.status), repr(float(solution.cost)))
+"""
+
+
+def saved(path, problem, guess):
+    numbers = {f"p:{name}": np.asarray(value) for name, value in problem.arrays().items()}
+    parts = {
+        f"g:{part}": np.asarray(getattr(guess, part)) for part in ("time", "state", "control", "dilation")
+    }
+    np.savez(path, allow_pickle=False, **numbers, **parts)
+    return path
+
+
+@EVERY_CASE_SLOWLY
+def test_file_without_the_users_code(name, tmp_path):
+    """Export, load in a fresh process, same answer."""
+    _, problem, guess = request_of(name)
+    js.Solver().export(tmp_path / "own.jaxscp", problem, guess)
+    arrays = saved(tmp_path / "arrays.npz", problem, guess)
+    command = [sys.executable, "-c", LOAD, str(tmp_path / "own.jaxscp"), str(arrays)]
+    ran = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ran.returncode == 0, ran.stderr
+    status, cost = ran.stdout.split()
+    assert status == "converged"
+    assert float(cost) == float(js.solve(problem, guess).cost)
