@@ -167,8 +167,11 @@ DISC = jnp.array([3.0, 0.2, 1.0])  # centre and radius in m; it blocks the strai
 
 
 def around(disc) -> jaxscp.OptimalControlProblem:
+    """On a free mesh: a weight of the mesh would make more local optima, too close for finite differences."""
+    time = jaxscp.Time(CAR_NODES, jaxscp.FreeTime(1.0, 20.0), mesh_weight=None)
     parameters = {"centre": disc[:2], "radius": disc[2]}
-    return eqx.tree_at(lambda p: p.constraints[1].parameters, dubins(disc[1]), parameters)
+    parts = lambda p: (p.time, p.constraints[1].parameters)  # noqa: E731
+    return eqx.tree_at(parts, dubins(disc[1]), (time, parameters))
 
 
 def bow(height: float) -> Trajectory:
