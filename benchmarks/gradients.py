@@ -37,7 +37,9 @@ from jaxscp.landing.problem import landing_problem  # noqa: E402
 from jaxscp.nlp.central_path import MU, Point  # noqa: E402
 from jaxscp.nlp.interior_point import NLPInteriorPoint  # noqa: E402
 from jaxscp.nlp.sensitivity import implicit_solution  # noqa: E402
-from jaxscp.problem.problem import node_times, terminal_cost  # noqa: E402
+from jaxscp.problem.form import Continuous  # noqa: E402
+from jaxscp.problem.lowering import over_scaled_time  # noqa: E402
+from jaxscp.problem.node_values import node_times  # noqa: E402
 from jaxscp.transcription.shooting import evaluate  # noqa: E402
 from tests.support.random_instances import random_instances, with_time_weight  # noqa: E402
 
@@ -85,9 +87,14 @@ def direction(key, scenario: LandingScenario, leaf: Any) -> LandingScenario:
     return structure.unflatten([change(i, value) for i, value in enumerate(flat)])
 
 
+def problem_of(scenario, solution):
+    """The scenario's problem over scaled time, with the intervals allocated as in the solution."""
+    return over_scaled_time(landing_problem(scenario, solution.context), Continuous())
+
+
 def outputs(problem, z):
     """Cost, flight time, and three random functions of the trajectory."""
-    cost = jnp.sum(evaluate(problem, z, METHOD.grid).cost) + terminal_cost(problem, z)
+    cost = jnp.sum(evaluate(problem, z, METHOD.grid).cost) + problem.terminal_cost(z)
     mix = jax.random.normal(jax.random.key(3), (3, *z.shape), z.dtype) / jnp.sqrt(z.size)
     return jnp.concatenate([jnp.stack([cost, node_times(z[:, -1])[-1]]), jnp.einsum("knv,nv->k", mix, z)])
 
@@ -97,7 +104,7 @@ def implicit(scenario, solution, change):
     point = Point(solution.z, solution.multipliers)
 
     def of(scenario):
-        problem = landing_problem(scenario, solution.context)
+        problem = problem_of(scenario, solution)
         found = implicit_solution(problem, point, METHOD.grid, solution.differentiable)
         return outputs(problem, found.z), found
 
@@ -110,7 +117,7 @@ def again(scenario, solution, change, predicted, length):
         jax.tree.map(lambda a, b: a + length * b, *pair)
         for pair in ((scenario, change), (solution.z, predicted.z))
     )
-    problem = landing_problem(moved, solution.context)
+    problem = problem_of(moved, solution)
     end = AGAIN.run(problem, z, solution.multipliers, METHOD.grid)
     active = jnp.concatenate([(y > s).ravel() for y, s in zip(end.y.values, end.slack, strict=True)])
     return outputs(problem, end.z), active, end.error <= SOLVED

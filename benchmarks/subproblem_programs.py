@@ -17,7 +17,8 @@ from jaxscp.landing.guess import Units, guess_program, guess_time, initial_guess
 from jaxscp.landing.problem import landing_problem
 from jaxscp.landing.scenario import LandingScenario
 from jaxscp.problem.form import Paper
-from jaxscp.problem.problem import OptimalControlProblem
+from jaxscp.problem.lowering import over_scaled_time
+from jaxscp.problem.scaled_time import ScaledTimeProblem
 from jaxscp.scp.nodal_subproblem import nodal_subproblem
 
 NODES = 30
@@ -72,7 +73,7 @@ def _varied(scenario: LandingScenario, random: np.random.Generator) -> LandingSc
 def _prepared(scenario: LandingScenario):
     """(problem, conic program of the guess, guess)."""
     allocation = allocate(scenario.corridor, scenario.start.position, scenario.goal.position, NODES)
-    problem = landing_problem(scenario, allocation, Paper())
+    problem = over_scaled_time(landing_problem(scenario, allocation, Paper()), Paper())
     guess = initial_guess(scenario, allocation)
     z = problem.join(guess.states, guess.controls, guess.dilation)
     units = Units.of(scenario, allocation, guess_time(scenario, allocation))
@@ -97,7 +98,7 @@ def _steps(mode: str):
 
 
 def _iterations(
-    mission: str, mode: str, run: int, problem: OptimalControlProblem, z: jax.Array
+    mission: str, mode: str, run: int, problem: ScaledTimeProblem, z: jax.Array
 ) -> Iterator[Subproblem]:
     """Subproblems of the first iterations of a run."""
     init, linearise, advance = _steps(mode)
@@ -110,7 +111,7 @@ def _iterations(
             return
 
 
-def _infeasible(mission: str, run: int, problem: OptimalControlProblem, z: jax.Array) -> Iterator[Subproblem]:
+def _infeasible(mission: str, run: int, problem: ScaledTimeProblem, z: jax.Array) -> Iterator[Subproblem]:
     """First subproblem of a run with one contradiction, large or small, among its hard constraints."""
     init, linearise, _ = _steps("paper")
     for gap in (1.0, 1e-2):
@@ -119,14 +120,16 @@ def _infeasible(mission: str, run: int, problem: OptimalControlProblem, z: jax.A
             yield Subproblem(mission, "infeasible", f"{run} {cause} by {gap:g}", program)
 
 
-def _contradictions(problem: OptimalControlProblem, gap: float) -> dict[str, OptimalControlProblem]:
+def _contradictions(problem: ScaledTimeProblem, gap: float) -> dict[str, ScaledTimeProblem]:
     """Problems with contradictory constraints, by their cause."""
     middle = problem.nodes // 2
     faces = problem.constraints[0].parameters
-    inside = -faces.offsets[0, 3] - problem.initial.parameters.value[0]
+    inside = -faces.offsets[0, 3] - problem.boundary.initial.parameters.value[0]
     return {
         "start outside": eqx.tree_at(
-            lambda p: p.initial.parameters.value, problem, replace_fn=lambda v: v.at[0].add(inside - gap)
+            lambda p: p.boundary.initial.parameters.value,
+            problem,
+            replace_fn=lambda v: v.at[0].add(inside - gap),
         ),
         "box without inside": eqx.tree_at(
             lambda p: p.constraints[0].parameters.offsets,

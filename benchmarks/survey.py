@@ -42,7 +42,7 @@ def survey(count: int, batch_size: int, echo: Any) -> dict[str, Any]:
             finite = [
                 np.isfinite(leaf).reshape(batch_size, -1).all(axis=1) for leaf in jax.tree.leaves(solution)
             ]
-            not_finite += int(np.sum(~np.all(finite, axis=0)))
+            not_finite += int(np.sum(~np.all(finite, axis=0) & (names != "invalid_input")))
             iterations.extend(solution.iterations[names == "converged"])
             residuals.extend(solution.certificate.optimality[names == "converged"])
             for kind, which in (("feasible", ~impossible), ("infeasible", impossible)):

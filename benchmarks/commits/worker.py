@@ -126,7 +126,8 @@ def export(file: str) -> dict[str, str]:
 
 def call_export(export: str, file: str) -> dict[str, str]:
     """Plan by an exported planner."""
-    solution = jaxscp.load(export)(case())
+    plan: Any = jaxscp.load(export)
+    solution = plan(case())
     save(file, solution)
     return {"status": status(solution)}
 
@@ -135,7 +136,7 @@ def start(cache: str | None = None, export: str | None = None) -> dict[str, Any]
     """The first plan of a process: with an empty or full cache, without one, or by an exported planner."""
     if cache:
         jaxscp.use_cache(cache)
-    plan = jaxscp.load(export) if export else planner()
+    plan: Any = jaxscp.load(export) if export else planner()
     seconds, solution = timed(plan, case())
     return {"status": status(solution), "seconds": seconds}
 

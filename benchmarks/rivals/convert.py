@@ -3,6 +3,8 @@
 Both directions keep every number, so that the two stacks can be compared digit by digit.
 """
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,20 +25,33 @@ from jaxscp.landing.constraints import (
 )
 from jaxscp.landing.guess import initial_guess
 from jaxscp.landing.mission import Weights
-from jaxscp.landing.problem import effort, flight_time, landing_problem
+from jaxscp.landing.problem import (
+    FixedComponents,
+    effort,
+    fixed_components,
+    flight_time,
+    landing_problem,
+    pose_rows,
+)
 from jaxscp.landing.scenario import LandingScenario
+from jaxscp.problem.boundary import Boundary, EndCondition
 from jaxscp.problem.constraint import Constraint, repeat_over_nodes
+from jaxscp.problem.cost import Cost
 from jaxscp.problem.form import Paper
-from jaxscp.problem.problem import Boundary, FixedComponents, OptimalControlProblem, fixed_components
+from jaxscp.problem.lowering import over_scaled_time
+from jaxscp.problem.problem import OptimalControlProblem
+from jaxscp.problem.scaled_time import ScaledTimeProblem
+from jaxscp.problem.time import FreeTime, Time
 from jaxscp.scp.nodal_subproblem import PAPER_NODES, NormTrustRegion
 from jaxscp.scp.ptr import PTR
 
 
-def as_problem(arrays: LandingArrays) -> tuple[OptimalControlProblem, Float[Array, "nodes variables"]]:
-    """The rivals' problem as an extended optimal control problem, and its guess as node variables.
+def as_problem(arrays: LandingArrays) -> tuple[ScaledTimeProblem, Float[Array, "nodes variables"]]:
+    """The rivals' problem over scaled time, and its guess as node variables.
 
     Elapsed effort and time are states, as in the published stack, since its trust region counts them.
     """
+    weights = Weights(jnp.asarray(arrays.weight_control, float), jnp.asarray(arrays.weight_time, float))
     problem = OptimalControlProblem(
         dynamics=RigidBody(
             mass=jnp.asarray(arrays.mass, float),
@@ -45,19 +60,12 @@ def as_problem(arrays: LandingArrays) -> tuple[OptimalControlProblem, Float[Arra
             torque_map=jnp.asarray(arrays.torque_map),
             gravity=jnp.array([0.0, 0.0, -arrays.gravity]),
         ),
-        running_cost=effort,
-        terminal_cost=flight_time,
-        weights=Weights(jnp.asarray(arrays.weight_control, float), jnp.asarray(arrays.weight_time, float)),
+        cost=Cost(effort, flight_time, weights),
+        boundary=Boundary(_whole_state(arrays.start), _whole_state(arrays.goal)),
+        time=Time(arrays.nodes, FreeTime(arrays.dilation_min, arrays.dilation_max), mesh_weight=None),
         constraints=_constraints(arrays),
-        initial=_whole_state(arrays.start),
-        final=_whole_state(arrays.goal),
-        dilation_min=jnp.asarray(arrays.dilation_min, float),
-        dilation_max=jnp.asarray(arrays.dilation_max, float),
-        nodes=arrays.nodes,
-        carries_cost=True,
-        carries_time=True,
     )
-    return problem, jnp.asarray(_node_variables(arrays))
+    return over_scaled_time(problem, Paper()), jnp.asarray(_node_variables(arrays))
 
 
 def as_method(arrays: LandingArrays) -> PTR:
@@ -95,8 +103,8 @@ def as_arrays(scenario: LandingScenario, nodes: int, method: PTR | None = None) 
         thrust_max=np.asarray(frame.thrust_max),
         dilation_min=float(scenario.dilation_min),
         dilation_max=float(scenario.dilation_max),
-        start=np.asarray(problem.initial.parameters.value),
-        goal=np.asarray(problem.final.parameters.value),
+        start=np.asarray(problem.boundary.initial.parameters.value),
+        goal=np.asarray(problem.boundary.final.parameters.value),
         weight_control=float(scenario.weights.control),
         weight_time=float(scenario.weights.time),
         weight_virtual=method.virtual_weight,
@@ -125,17 +133,22 @@ def _constraints(arrays: LandingArrays) -> tuple[Constraint, ...]:
     cone = LandingCone(
         jnp.asarray(arrays.cone_apex), jnp.zeros(3), jnp.eye(3), jnp.asarray(arrays.cone_cotangent, float)
     )
+    held = functools.partial(Constraint, per_node=True, convex=True)
     return (
-        Constraint(inside_half_spaces, faces, NonNegative(), everywhere, "corridor"),
-        Constraint(
-            within_control_limits, repeat_over_nodes(limits, nodes), NonNegative(), everywhere, "thrust"
+        held(inside_half_spaces, NonNegative(), faces, active=everywhere, name="corridor"),
+        held(
+            within_control_limits,
+            NonNegative(),
+            repeat_over_nodes(limits, nodes),
+            active=everywhere,
+            name="thrust",
         ),
-        Constraint(
+        held(
             inside_landing_cone,
-            repeat_over_nodes(cone, nodes),
             SecondOrder(),
-            jnp.asarray(_meaningful_cones(arrays)),
-            "landing cone",
+            repeat_over_nodes(cone, nodes),
+            active=jnp.asarray(_meaningful_cones(arrays)),
+            name="landing cone",
         ),
     )
 
@@ -151,8 +164,9 @@ def _meaningful_cones(arrays: LandingArrays) -> Flags:
     return active
 
 
-def _whole_state(value: Floats) -> Boundary:
-    return Boundary(fixed_components, FixedComponents(jnp.asarray(value), jnp.ones(len(value))))
+def _whole_state(value: Floats) -> EndCondition:
+    everything = FixedComponents(jnp.asarray(value), jnp.ones(len(value)))
+    return EndCondition(fixed_components, everything, pose_rows(4))
 
 
 def _node_variables(arrays: LandingArrays) -> Floats:

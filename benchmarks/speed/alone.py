@@ -55,7 +55,7 @@ def recorded(method: PTR, nodes: int, plans: int) -> list[Any]:
         )
 
     with jax.default_device(jax.devices("cpu")[0]):
-        problem, z, _ = jax.jit(jax.vmap(planner.setup))(instances(jax.random.key(7), plans))
+        problem, z, _ = jax.jit(jax.vmap(planner.pipeline.setup))(instances(jax.random.key(7), plans))
         state = jax.jit(jax.vmap(method.init))(problem, z)
         record, step = (jax.jit(jax.vmap(function)) for function in (arguments, method.step))
         records = []

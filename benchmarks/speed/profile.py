@@ -31,7 +31,7 @@ from jaxscp.nlp.newton_system import (
     scalings,
     second_order_model,
 )
-from jaxscp.problem.problem import typical_sizes
+from jaxscp.problem.node_values import typical_sizes
 from jaxscp.scp.active_set import active_set, slacks
 from jaxscp.scp.hessian_convexification import LinearDynamics, convexified_along_horizon, projected
 from jaxscp.scp.interval_subproblem import interval_program
@@ -132,7 +132,7 @@ class Pieces:
 def _all_pieces(pieces: Pieces, planner: Planner, scenario: LandingScenario, solution: Solution) -> None:
     request = least_seconds(lambda: validate(scenario, planner.nodes))
     pieces.add(Piece("check of the request, in NumPy", 1, request, np.nan))
-    problem, z, _ = pieces.time("guess and problem", 1, planner.setup, scenario, count=False)
+    problem, z, _ = pieces.time("guess and problem", 1, planner.pipeline.setup, scenario, count=False)
     if isinstance(planner.method, PTR):
         _paper_pieces(pieces, planner.method, problem, z, solution)
     else:

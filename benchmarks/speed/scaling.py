@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from benchmarks.speed.timing import least_in_turns
 from jaxscp import PTR, LandingScenario, Planner
 from jaxscp.landing.scenarios import platform_to_platform
-from jaxscp.problem.problem import OptimalControlProblem
+from jaxscp.problem.scaled_time import ScaledTimeProblem
 
 NODES, FACES = (15, 30, 60, 120, 240), (6, 12, 18, 24)
 STANDARD, TURNS = 30, 12  # nodes; number of solves of each size
@@ -24,14 +24,14 @@ class Size:
 
     name: str
     compiled: Any
-    problem: OptimalControlProblem
+    problem: ScaledTimeProblem
     guess: Any
 
     @classmethod
     def of(cls, name: str, scenario: LandingScenario, nodes: int) -> "Size":
         """Compile."""
         planner = Planner(nodes=nodes, method=PTR())
-        problem, z, _ = jax.jit(planner.setup)(scenario)
+        problem, z, _ = jax.jit(planner.pipeline.setup)(scenario)
         return cls(name, jax.jit(planner.method.run).lower(problem, z).compile(), problem, z)
 
     def solve(self) -> Any:

@@ -52,6 +52,27 @@ def undefined(right: Float[Array, "_"]) -> Float[Array, "_"]:
 
 
 @jax.custom_jvp
+def undefined_unless(defined: Flag, given: Tree) -> Tree:
+    """The given floats; if not defined, NaN, in derivatives too, but zero for those requested with weight zero.
+
+    Example:
+        >>> import jax, jax.numpy as jnp
+        >>> from jaxscp.core.implicit import undefined_unless
+        >>> weighted = lambda v, weight: weight * undefined_unless(jnp.array(False), v)
+        >>> float(jax.grad(weighted)(2.0, 3.0)), float(jax.grad(lambda v: jnp.where(True, v, weighted(v, 1.0)))(2.0))
+        (nan, 1.0)
+    """
+    return jax.tree.map(lambda v: jnp.where(defined, v, jnp.nan), given)
+
+
+@undefined_unless.defjvp
+def _undefined_change(primals, tangents):
+    defined, given = primals
+    same = lambda v: v  # noqa: E731
+    return undefined_unless(defined, given), symmetric_solve(same, same, tangents[1], defined)
+
+
+@jax.custom_jvp
 def first_order_only(given: Tree) -> Tree:
     """The argument of a derivative rule: to differentiate the rule again is an error, not a wrong number."""
     return given

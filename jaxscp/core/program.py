@@ -5,6 +5,7 @@ same if their value and their first and second directional derivatives lower to 
 jaxpr would not do: it hides constants of nested functions, and derivative rules.
 """
 
+import dataclasses
 import hashlib
 import types
 import warnings
@@ -12,6 +13,7 @@ from collections import defaultdict
 from collections.abc import Callable, Hashable
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -123,6 +125,19 @@ def of_this_package(function: Callable[..., Any]) -> bool:
     cls = function if isinstance(function, types.FunctionType) else type(function)
     ours = cls.__module__.partition(".")[0] == PACKAGE and "<" not in cls.__qualname__
     return ours and not jax.tree.leaves(function if cls is not function else ())
+
+
+def wholly_of_this_package(part: Any) -> bool:
+    """Whether a module is made of this package's classes and functions alone."""
+    if isinstance(part, eqx.Module):
+        ours = type(part).__module__.partition(".")[0] == PACKAGE
+        fields = (getattr(part, field.name) for field in dataclasses.fields(part))
+        return ours and all(map(wholly_of_this_package, fields))
+    if isinstance(part, jax.Array | int | float | str | None):
+        return True
+    if isinstance(part, tuple | list):
+        return all(map(wholly_of_this_package, part))
+    return callable(part) and of_this_package(part)
 
 
 _known: dict[Hashable, tuple[Program, list]] = {}

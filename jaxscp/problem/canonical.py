@@ -16,7 +16,7 @@ import numpy as np
 from jax.core import Tracer
 
 from jaxscp.cones.cone import Cone
-from jaxscp.core.program import Program, identify, of_this_package
+from jaxscp.core.program import Program, identify, of_this_package, wholly_of_this_package
 from jaxscp.dynamics.base import Dynamics, FunctionDynamics
 from jaxscp.problem.boundary import Boundary, EndCondition, EndRows
 from jaxscp.problem.constraint import Constraint, Where, name_of
@@ -139,7 +139,7 @@ def _hint(found: tuple[int, ...], expected: tuple[int, ...]) -> str:
 
 def _dynamics(dynamics: Dynamics, x: Any, u: Any) -> Dynamics:
     dynamics = _with_arrays(dynamics, "dynamics")
-    if _wholly_ours(dynamics):
+    if wholly_of_this_package(dynamics):
         return dynamics
     if isinstance(dynamics, FunctionDynamics):
         parameters = dynamics.parameters
@@ -290,16 +290,3 @@ def _unique_names(constraints: list[Constraint]) -> None:
         raise InvalidProblem(
             f"constraints: the name {twice[0]!r} occurs {names.count(twice[0])} times; give each a name of its own."
         )
-
-
-def _wholly_ours(part: Any) -> bool:
-    """Whether a module is made of this package's classes and functions alone."""
-    if isinstance(part, eqx.Module):
-        ours = type(part).__module__.partition(".")[0] == __name__.partition(".")[0]
-        fields = (getattr(part, field.name) for field in dataclasses.fields(part))
-        return ours and all(map(_wholly_ours, fields))
-    if isinstance(part, jax.Array | int | float | str | None):
-        return True
-    if isinstance(part, tuple | list):
-        return all(map(_wholly_ours, part))
-    return callable(part) and of_this_package(part)

@@ -17,6 +17,7 @@ from jax.core import Tracer
 
 from jaxscp.aot import aot, export, planner_cache
 from jaxscp.backends.xla import jit_with_options
+from jaxscp.core.implicit import undefined_unless
 from jaxscp.core.status import Status
 from jaxscp.core.types import Flag
 from jaxscp.problem.canonical import canonical
@@ -123,11 +124,7 @@ def _strongly_typed(values):
 
 def _undefined_unless(ok, solution: Solution) -> Solution:
     """NaN in every float and every derivative, and ``invalid_input``, for an element that is not valid."""
-
-    def one(v):
-        if not jnp.issubdtype(v.dtype, jnp.inexact):
-            return jnp.where(ok, v, jnp.zeros_like(v))
-        return v * jnp.where(ok, 1.0, jnp.nan)  # a NaN that is chosen would have the derivative zero
-
-    found = jax.tree.map(one, solution)
+    floats, rest = eqx.partition(solution, eqx.is_inexact_array)
+    rest = jax.tree.map(lambda v: jnp.where(ok, v, jnp.zeros_like(v)), rest)
+    found = eqx.combine(undefined_unless(ok, floats), rest)
     return eqx.tree_at(lambda s: s.status, found, Status.where(ok, solution.status, Status.invalid_input))

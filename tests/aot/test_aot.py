@@ -33,7 +33,8 @@ jax.config.update("jax_enable_x64", True)
 import jaxscp
 
 solution = jaxscp.load(sys.argv[1], compile=False)(jaxscp.scenarios.ascent_to_platform())
-needless = {"jaxscp.planner.planner", "diffrax", "jaxopt", "osqp", "matplotlib", *sys.argv[3:]} & set(sys.modules)
+modules = {"jaxscp.planner.planner", "jaxscp.solver.pipeline", "jaxscp.solver.solver"}
+needless = {*modules, "diffrax", "jaxopt", "osqp", "matplotlib", *sys.argv[3:]} & set(sys.modules)
 assert not needless, needless
 np.savez(sys.argv[2], *jax.tree.leaves(solution))
 """
@@ -252,7 +253,9 @@ NOTHING_TRACED = """
 def traced(*arguments):
     raise AssertionError("a cached planner was traced")
 
-jaxscp.Planner.setup = jaxscp.Planner.trace = traced
+from jaxscp.solver.pipeline import Pipeline
+
+Pipeline.setup = Pipeline.trace = traced
 """
 
 
@@ -286,16 +289,16 @@ def test_a_folder_that_cannot_be_made_is_not_in_use(scenario, tmp_path):
 
 def test_calls_that_are_not_for_the_default_device_compile_as_jax_does(scenario):
     with jax.default_device(jax.devices()[0]):  # code inside may use another default device
-        assert cached(PLANNER._maker(), scenario) is None
+        assert cached(PLANNER.pipeline._maker(), scenario) is None
     with jax.disable_jit():
-        assert cached(PLANNER._maker(), scenario) is None
+        assert cached(PLANNER.pipeline._maker(), scenario) is None
 
 
 def test_replans_share_what_plans_have_compiled(scenario, monkeypatch):
     planned = PLANNER(scenario)
     again = PLANNER.replan(planned, scenario)
     for name in ("_solve", "_conclude"):
-        monkeypatch.setattr(f"jaxscp.planner.planner.{name}", None)
+        monkeypatch.setattr(f"jaxscp.solver.pipeline.{name}", None)
     assert_same(PLANNER.replan(planned, scenario), again)
     assert_same(PLANNER(scenario), planned)
 
@@ -308,10 +311,10 @@ def test_code_of_other_packages_is_not_cached(scenario, tmp_path):
     method, inputs = Mine(max_iterations=1), scenario.solver_inputs()
     jaxscp.use_cache(tmp_path)
     try:
-        assert cached(jaxscp.Planner(nodes=10, method=method)._maker(), inputs) is not None
+        assert cached(jaxscp.Planner(nodes=10, method=method).pipeline._maker(), inputs) is not None
         own_solver = jaxscp.PTR(max_iterations=1, conic=lambda p, a, n: InteriorPoint()(p, a, n))
-        assert cached(jaxscp.Planner(nodes=10, method=own_solver)._maker(), inputs) is not None
-        jax.jit(lambda: cached(PLANNER._maker(), inputs) is None or 1 / 0)()
+        assert cached(jaxscp.Planner(nodes=10, method=own_solver).pipeline._maker(), inputs) is not None
+        jax.jit(lambda: cached(PLANNER.pipeline._maker(), inputs) is None or 1 / 0)()
     finally:
         jaxscp.use_cache(None)
     assert not cached_planners(tmp_path)

@@ -109,7 +109,7 @@ def test_table_report_and_times_are_printed(answer, facts):
     assert f"{facts['history'][0]['cost']:.4f}" in result.stdout
     for text in (
         "status: converged",
-        "integrated end",
+        "final position",
         "corridor",
         "ms a plan once compiled",
         "s to compile",

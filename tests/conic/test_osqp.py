@@ -6,16 +6,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import jaxscp
 from jaxscp import PTR, ProximalTrustRegion, status_names
-from jaxscp.cones.cone import NonNegative
 from jaxscp.conic import OSQP
 from jaxscp.conic.interior_point import InteriorPoint
 from jaxscp.conic.quadratic import DEFAULT_FACETS
 from jaxscp.conic.random_programs import random_program, smallest_program
-from jaxscp.dynamics.double_integrator import DoubleIntegrator
-from jaxscp.landing.constraints import Limits, within_control_limits
-from jaxscp.problem.constraint import Constraint, repeat_over_nodes
-from jaxscp.problem.problem import Boundary, FixedComponents, OptimalControlProblem, fixed_components
+from jaxscp.problem.canonical import canonical
+from jaxscp.problem.form import Continuous
+from jaxscp.problem.lowering import over_scaled_time
 from tests.support.reference import clarabel_optimum
 
 SAME_VALUE = 1e-3  # relative; an operator-splitting method at a tolerance of 1e-5
@@ -107,33 +106,17 @@ def test_batch_elements_are_independent(solve):
 NODES = 9
 
 
-def least_effort(state, control, weights):
-    return jnp.sum(control * control)
-
-
-def cost_of_time(state, time, weights):
-    return 5.0 * time
-
-
 @pytest.fixture(scope="module")
 def double_integrator():
     """One metre from rest to rest, effort against time, and a straight guess."""
-    ends = [FixedComponents(jnp.array([x, 0.0]), jnp.ones(2)) for x in (0.0, 1.0)]
-    limits = repeat_over_nodes(Limits(jnp.array([-2.0]), jnp.array([2.0])), NODES)
-    problem = OptimalControlProblem(
-        dynamics=DoubleIntegrator(1),
-        running_cost=least_effort,
-        terminal_cost=cost_of_time,
-        weights=(),
-        constraints=(
-            Constraint(within_control_limits, limits, NonNegative(), jnp.ones(NODES, bool), "acceleration"),
-        ),
-        initial=Boundary(fixed_components, ends[0]),
-        final=Boundary(fixed_components, ends[1]),
-        dilation_min=jnp.asarray(0.1),
-        dilation_max=jnp.asarray(10.0),
-        nodes=NODES,
+    asked = jaxscp.OptimalControlProblem(
+        dynamics=jaxscp.DoubleIntegrator(1),
+        cost=jaxscp.Cost(running=lambda x, u, t, p: u @ u, terminal=lambda x, t, p: 5.0 * t),
+        boundary=jaxscp.Boundary(jaxscp.fixed_state([0.0, 0.0]), jaxscp.fixed_state([1.0, 0.0])),
+        time=jaxscp.Time(NODES, jaxscp.FreeTime(0.1, 10.0), mesh_weight=None),
+        constraints=(jaxscp.bounds(control=(-2.0, 2.0)),),
     )
+    problem = over_scaled_time(canonical(asked), Continuous())
     states = jnp.stack([jnp.linspace(0.0, 1.0, NODES), jnp.full(NODES, 0.5)], axis=1)
     return problem, problem.join(states, jnp.zeros((NODES, 1)), jnp.full(NODES, 2.0))
 

@@ -9,7 +9,7 @@ import pytest
 from jaxscp.backends import libraries
 from jaxscp.integration import dispatch, in_jax, in_tape, native, tableaus
 from jaxscp.integration.intervals import IntervalData, PathOutputs
-from jaxscp.transcription.layout import interval_inputs
+from jaxscp.transcription.interval_inputs import integration_inputs
 from jaxscp.transcription.shooting import Grid, interval_data, intervals_of
 from tests.support.flights import random_nodes, short_problem
 from tests.support.interval_problems import (
@@ -66,7 +66,11 @@ def test_compiled_equals_jax_on_a_landing_with_every_constraint(name, grid):
 
     def by(module):
         def function(problem, z, *multipliers):
-            arguments = intervals_of(problem, grid), interval_inputs(problem, z), interval_data(problem, grid)
+            arguments = (
+                intervals_of(problem, grid),
+                integration_inputs(problem, z),
+                interval_data(problem, grid),
+            )
             return getattr(module, name)(*arguments, *multipliers)
 
         return function
@@ -82,7 +86,7 @@ def test_compiled_equals_jax_on_a_landing_with_every_constraint(name, grid):
 
 def outputs_in_jax(problem, z, grid):
     return in_jax.evaluate(
-        intervals_of(problem, grid), interval_inputs(problem, z), interval_data(problem, grid)
+        intervals_of(problem, grid), integration_inputs(problem, z), interval_data(problem, grid)
     )
 
 

@@ -10,7 +10,7 @@ from jaxscp.backends.codegen import launch
 from jaxscp.integration import dispatch, in_cuda, in_jax, tableaus
 from jaxscp.integration.intervals import Intervals, PathOutputs, without_data
 from jaxscp.transcription.discretise import METHOD
-from jaxscp.transcription.layout import interval_inputs
+from jaxscp.transcription.interval_inputs import integration_inputs
 from tests.support.flights import random_nodes, short_problem
 from tests.support.interval_problems import RATES, EveryOperation, Rows, assert_same, random_case
 from tests.support.kernels import as_on_a_gpu, compiled, handler, needs_compiler, needs_nvidia
@@ -59,7 +59,7 @@ def test_kernel_equals_jax(rate, method, columns, emulated):
 def test_kernel_equals_dispatch_on_a_landing(emulated):
     """With the intervals of ``discretise``."""
     problem = short_problem()
-    w = interval_inputs(problem, random_nodes(problem, 1))
+    w = integration_inputs(problem, random_nodes(problem, 1))
     intervals = Intervals(problem.slope, problem.state_size, METHOD, 10, 10)
     arguments = intervals, w, without_data(intervals, w.shape[0])
     assert_same(eqx.filter_jit(dispatch.linearise)(*arguments), eqx.filter_jit(emulated(2))(*arguments))

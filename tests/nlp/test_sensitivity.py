@@ -11,9 +11,9 @@ import pytest
 import jaxscp
 from jaxscp import NewtonSCP, scenarios
 from jaxscp.nlp.central_path import Point, conditions
-from jaxscp.problem.problem import node_times
+from jaxscp.problem.node_values import node_times
 from jaxscp.scp.method import iterate
-from tests.system.test_general_problem import LIMIT, SWITCH, rest_to_rest, straight
+from tests.system.test_general_problem import LEAST, LIMIT, SWITCH, rest_to_rest, straight
 
 DISTANCE = 4.0
 RESIDUAL = 1e-7  # residual of the optimality conditions at the returned point
@@ -28,23 +28,14 @@ POLAR, AXIAL = jnp.array([1.0, -1.0, 1.0]), jnp.array([-1.0, 1.0, -1.0])  # vect
 @pytest.fixture(scope="module")
 def flight():
     """Minimum time from rest to rest, as a function of distance, limit and least dilation."""
-    method, like = NewtonSCP(), rest_to_rest(DISTANCE)
+    method = NewtonSCP()
 
     def plan(parameters):
-        distance, limit, least = parameters
-        problem = eqx.tree_at(
-            lambda p: (p.final.parameters.value, p.constraints[0].parameters, p.dilation_min),
-            like,
-            (
-                jnp.stack([distance, jnp.zeros(())]),
-                jax.tree.map(lambda v: v * limit / LIMIT, like.constraints[0].parameters),
-                least,
-            ),
-        )
+        problem = rest_to_rest(*parameters)
         result = iterate(method, problem, straight(problem, DISTANCE, 5.0))
         return node_times(result.z[:, -1])[-1], (problem, result)
 
-    parameters = jnp.array([DISTANCE, LIMIT, 0.05])
+    parameters = jnp.array([DISTANCE, LIMIT, LEAST])
     return (
         parameters,
         jax.jit(jax.value_and_grad(plan, has_aux=True))(parameters),

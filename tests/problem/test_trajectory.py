@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxscp import Trajectory
-from jaxscp.problem.problem import node_times
+from jaxscp.problem.node_values import node_times
 
 NODES = 7
 FIELDS = ("time", "state", "control", "dilation")

@@ -9,6 +9,8 @@ import jaxscp
 from jaxscp import scenarios
 from jaxscp.landing.allocation import allocate
 from jaxscp.landing.problem import landing_problem
+from jaxscp.problem.form import Continuous
+from jaxscp.problem.lowering import over_scaled_time
 
 NODES = 8
 
@@ -26,7 +28,7 @@ def short_problem(everything=False):
             deck_velocity=jnp.array([0.1, 0.0, 0.0]),
         )
     allocation = allocate(scenario.corridor, scenario.start.position, scenario.goal.position, NODES)
-    return landing_problem(scenario, allocation)
+    return over_scaled_time(landing_problem(scenario, allocation), Continuous())
 
 
 def random_nodes(problem, seed):

@@ -37,7 +37,7 @@ def planned():
     )
     planner = Planner(nodes=20)
     solution = planner(scenario)
-    problem, _, _ = planner.setup(scenario)
+    problem, _, _ = planner.pipeline.setup(scenario)
     flight = jax.jit(lambda t: rollout(problem, t, 100))(solution.trajectory)
     return scenario, solution, flight
 

@@ -5,57 +5,39 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import jaxscp
 from jaxscp import PTR, NormTrustRegion, ProximalTrustRegion, Status
-from jaxscp.cones.cone import NonNegative
-from jaxscp.dynamics.double_integrator import DoubleIntegrator
-from jaxscp.landing.constraints import Limits, within_control_limits
-from jaxscp.problem.constraint import Constraint, repeat_over_nodes
-from jaxscp.problem.problem import (
-    Boundary,
-    FixedComponents,
-    OptimalControlProblem,
-    fixed_components,
-    node_times,
-)
+from jaxscp.problem.canonical import canonical
+from jaxscp.problem.form import Continuous
+from jaxscp.problem.lowering import over_scaled_time
+from jaxscp.problem.node_values import node_times
+from jaxscp.problem.scaled_time import ScaledTimeProblem
 
 NODES = 21  # even number of intervals, so that the switch of a bang-bang control can fall on a node
 LIMIT = 2.0  # m/s^2
+LEAST = 0.05  # s, of the dilation
 
 # First-order hold cannot jump from +a to -a. With a free mesh, the change takes the shortest interval that the
 # dilation's lower bound allows. This costs less than this fraction of the minimum time.
 SWITCH = 1e-4
 
 
-def no_effort(state, control, weights):
-    return jnp.zeros(())
+def within(state, control, time, limit):
+    return jnp.concatenate([control + limit, limit - control])
 
 
-def final_time(state, time, weights):
-    return time
-
-
-def rest_to_rest(distance: float) -> OptimalControlProblem:
-    everything = jnp.ones(2)
-    return OptimalControlProblem(
-        dynamics=DoubleIntegrator(1),
-        running_cost=no_effort,
-        terminal_cost=final_time,
-        weights=(),
+def rest_to_rest(distance, limit=LIMIT, least=LEAST) -> ScaledTimeProblem:
+    """Minimum time, with the acceleration limited everywhere; on a mesh that is free."""
+    asked = jaxscp.OptimalControlProblem(
+        dynamics=jaxscp.DoubleIntegrator(1),
+        cost=jaxscp.Cost(terminal=lambda x, t, p: t),
+        boundary=jaxscp.Boundary(jaxscp.fixed_state([0.0, 0.0]), jaxscp.fixed_state([distance, 0.0])),
+        time=jaxscp.Time(NODES, jaxscp.FreeTime(least, 10.0), mesh_weight=None),
         constraints=(
-            Constraint(
-                within_control_limits,
-                repeat_over_nodes(Limits(jnp.array([-LIMIT]), jnp.array([LIMIT])), NODES),
-                NonNegative(),
-                jnp.ones(NODES, bool),
-                "acceleration",
-            ),
+            jaxscp.Constraint(within, jaxscp.NonNegative(), limit, convex=True, name="acceleration"),
         ),
-        initial=Boundary(fixed_components, FixedComponents(jnp.zeros(2), everything)),
-        final=Boundary(fixed_components, FixedComponents(jnp.array([distance, 0.0]), everything)),
-        dilation_min=jnp.asarray(0.05),
-        dilation_max=jnp.asarray(10.0),
-        nodes=NODES,
     )
+    return over_scaled_time(canonical(asked), Continuous())
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +46,7 @@ def solve():
     return jax.jit(method.run)
 
 
-def straight(problem: OptimalControlProblem, distance: float, duration: float):
+def straight(problem: ScaledTimeProblem, distance: float, duration: float):
     share = jnp.linspace(0.0, 1.0, NODES)[:, None]
     states = jnp.concatenate([distance * share, jnp.full((NODES, 1), distance / duration)], axis=1)
     return problem.join(states, jnp.zeros((NODES, 1)), jnp.full(NODES, duration))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import jaxscp as js
+from jaxscp.problem.canonical import canonical
 from tests.support.own_problems import double_integrator
 
 GUESS = js.Trajectory.from_arrays([0.0, 2.0], [[0.0, 0.0], [1.0, 0.0]], np.zeros((2, 1)))

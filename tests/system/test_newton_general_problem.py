@@ -9,25 +9,16 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from jaxscp import NewtonSCP, Status
+import jaxscp
+from jaxscp import NewtonSCP, Trajectory
 from jaxscp.backends.xla import options
-from jaxscp.cones.cone import NonNegative
-from jaxscp.dynamics.base import Dynamics
-from jaxscp.dynamics.double_integrator import DoubleIntegrator
-from jaxscp.landing.constraints import Limits, within_control_limits
-from jaxscp.problem.constraint import AtNodes, Constraint, repeat_over_nodes
-from jaxscp.problem.problem import (
-    Boundary,
-    FixedComponents,
-    OptimalControlProblem,
-    fixed_components,
-    node_times,
-)
-from jaxscp.scp.method import iterate
+from jaxscp.problem.canonical import canonical
+from jaxscp.problem.form import Continuous
+from jaxscp.problem.lowering import over_scaled_time
+from jaxscp.problem.node_values import node_times
 from jaxscp.transcription.inequalities import inequalities
 from jaxscp.transcription.shooting import evaluate
-from jaxscp.transcription.stationarity import stationarity
-from jaxscp.verification.gradient import verified_gradient
+from tests.support.own_problems import EFFORT, dubins
 
 METHOD = NewtonSCP()
 NODES = 21  # an even number of intervals, so that the switch of a bang-bang control can fall on a node
@@ -49,24 +40,26 @@ DIFFERENCE = 1e-4  # relative: STEP squared times third derivatives, and optima 
 
 
 def compiled(problem_of, differentiable=True):
-    """(parameters, guess) -> (cost, result), with the gradient in the parameters if asked for."""
+    """(parameters, guess) -> (cost, solution), with the gradient in the parameters if asked for."""
 
     def cost(parameters, guess):
-        problem = problem_of(parameters)
-        result = iterate(METHOD, problem, problem.join(*guess))
-        return result.cost, result
+        solution = jaxscp.solve(problem_of(parameters), guess)
+        return solution.cost, solution
 
     function = jax.value_and_grad(cost, has_aux=True) if differentiable else cost
     return jax.jit(function, compiler_options=options())
 
 
-def assert_optimal(result):
-    assert bool(result.status == Status.converged)
-    assert bool(result.is_optimum)
+def assert_optimal(solution):
+    assert jaxscp.status_names(solution.status) == "converged"
+    assert bool(solution.differentiable)
 
 
-def fixed(value, components):
-    return Boundary(fixed_components, FixedComponents(jnp.asarray(value), jnp.asarray(components)))
+def guessed(states, duration):
+    """A trajectory on an even mesh, without controls."""
+    nodes = states.shape[0]
+    dilation = jnp.full(nodes, duration)
+    return Trajectory(node_times(dilation), states, jnp.zeros((nodes, 1)), dilation)
 
 
 # --- double integrator, from rest to rest ---
@@ -88,44 +81,33 @@ CHEAPEST = Motion(distance=1.0, limit=jnp.inf, shortest=2.0, longest=2.0, energy
 BOTH = Motion(distance=1.0, limit=jnp.inf, shortest=0.05, longest=10.0, energy=0.5, time=1.0)
 
 
-def effort(state, control, weights):
-    return weights.energy * (control @ control)
+def effort(state, control, time, motion):
+    return motion.energy * (control @ control)
 
 
-def duration(state, time, weights):
-    return weights.time * time
+def duration(state, time, motion):
+    return motion.time * time
 
 
-def without_limit(motion: Motion) -> OptimalControlProblem:
-    final = jnp.stack([motion.distance, jnp.zeros_like(motion.distance)])
-    return OptimalControlProblem(
-        dynamics=DoubleIntegrator(1),
-        running_cost=effort,
-        terminal_cost=duration,
-        weights=motion,
-        constraints=(),
-        initial=fixed(jnp.zeros(2), jnp.ones(2)),
-        final=fixed(final, jnp.ones(2)),
-        dilation_min=motion.shortest,
-        dilation_max=motion.longest,
-        nodes=NODES,
+def without_limit(motion: Motion) -> jaxscp.OptimalControlProblem:
+    return jaxscp.OptimalControlProblem(
+        dynamics=jaxscp.DoubleIntegrator(1),
+        cost=jaxscp.Cost(effort, duration, motion),
+        boundary=jaxscp.Boundary(jaxscp.fixed_state([0.0, 0.0]), jaxscp.fixed_state([motion.distance, 0.0])),
+        time=jaxscp.Time(NODES, jaxscp.FreeTime(motion.shortest, motion.longest)),
     )
 
 
-def with_limit(motion: Motion) -> OptimalControlProblem:
-    limits = repeat_over_nodes(Limits(-motion.limit[None], motion.limit[None]), NODES)
-    on = jnp.ones(NODES, bool)
-    # Not at the nodes alone: under a constant control all meshes are equally good, and the optimum is not unique.
-    limit = Constraint(within_control_limits, limits, NonNegative(), on, "acceleration")
-    return eqx.tree_at(lambda p: p.constraints, without_limit(motion), (limit,))
+def with_limit(motion: Motion) -> jaxscp.OptimalControlProblem:
+    limits = jaxscp.bounds(control=(-motion.limit, motion.limit), name="acceleration")
+    return eqx.tree_at(lambda p: p.constraints, without_limit(motion), (limits,))
 
 
-def smooth(distance: float, time: float):
-    """States, controls and dilation from rest to rest, as a cubic in time."""
+def smooth(distance: float, time: float) -> Trajectory:
+    """From rest to rest, as a cubic in time."""
     part = jnp.linspace(0.0, 1.0, NODES)[:, None]
     position, velocity = part**2 * (3.0 - 2.0 * part), 6.0 * part * (1.0 - part) / time
-    states = distance * jnp.concatenate([position, velocity], axis=1)
-    return states, jnp.zeros((NODES, 1)), jnp.full(NODES, time)
+    return guessed(distance * jnp.concatenate([position, velocity], axis=1), time)
 
 
 def floats(parameters):
@@ -141,11 +123,11 @@ def fastest():
 def test_minimum_time(fastest, distance):
     """Full acceleration to the middle, full braking from there: t_f = 2 sqrt(d / a)."""
     motion = FASTEST._replace(distance=distance)
-    cost, result = fastest(floats(motion), smooth(distance, 8.0))
-    assert_optimal(result)
+    cost, solution = fastest(floats(motion), smooth(distance, 8.0))
+    assert_optimal(solution)
     best = 2.0 * np.sqrt(distance / motion.limit)
     assert best * (1.0 - BARRIER) <= float(cost) <= best * (1.0 + SWITCH)
-    np.testing.assert_allclose(cost, node_times(result.z[:, -1])[-1], rtol=1e-12)
+    np.testing.assert_allclose(cost, solution.final_time, rtol=1e-12)
 
 
 @pytest.fixture(scope="module")
@@ -158,21 +140,21 @@ def test_minimum_energy_at_a_fixed_time_without_constraints(cheapest):
     """The integral of u^2 is 12 d^2 / t_f^3, and u falls along a straight line. Two equal limits of the dilation fix
     t_f, so that the derivative in t_f is the sum of theirs."""
     d, T = CHEAPEST.distance, CHEAPEST.longest
-    (cost, result), gradient = cheapest(floats(CHEAPEST), smooth(d, T))
-    assert_optimal(result)
+    (cost, solution), gradient = cheapest(floats(CHEAPEST), smooth(d, T))
+    assert_optimal(solution)
     np.testing.assert_allclose(cost, 12.0 * d**2 / T**3, rtol=BARRIER)
-    time = node_times(result.z[:, -1])
-    np.testing.assert_allclose(result.z[:, 2], 6.0 * d / T**2 * (1.0 - 2.0 * time / T), atol=STRAIGHT)
+    time, control = solution.trajectory.time, solution.trajectory.control[:, 0]
+    np.testing.assert_allclose(control, 6.0 * d / T**2 * (1.0 - 2.0 * time / T), atol=STRAIGHT)
     np.testing.assert_allclose(gradient.distance, 24.0 * d / T**3, rtol=BARRIER)
     np.testing.assert_allclose(gradient.shortest + gradient.longest, -36.0 * d**2 / T**4, rtol=BARRIER)
 
 
 def test_time_against_energy_without_constraints(cheapest):
     """t_f + w times the integral of u^2 is least at t_f^4 = 36 w d^2, and is 4/3 t_f there."""
-    (cost, result), gradient = cheapest(floats(BOTH), smooth(BOTH.distance, 4.0))
-    assert_optimal(result)
+    (cost, solution), gradient = cheapest(floats(BOTH), smooth(BOTH.distance, 4.0))
+    assert_optimal(solution)
     best = (36.0 * BOTH.energy * BOTH.distance**2) ** 0.25
-    np.testing.assert_allclose(node_times(result.z[:, -1])[-1], best, rtol=FLAT)
+    np.testing.assert_allclose(solution.final_time, best, rtol=FLAT)
     np.testing.assert_allclose(cost, 4.0 / 3.0 * best, rtol=BARRIER)
     np.testing.assert_allclose(gradient.distance, 2.0 / 3.0 * best / BOTH.distance, rtol=BARRIER)
     np.testing.assert_allclose(gradient.energy, best / 3.0 / BOTH.energy, rtol=BARRIER)
@@ -180,65 +162,23 @@ def test_time_against_energy_without_constraints(cheapest):
 
 # --- Dubins car around a disc ---
 
-
-class Car(Dynamics):
-    """State (x, y, heading) at unit speed; control: turn rate in rad/s."""
-
-    @property
-    def state_size(self) -> int:
-        return 3
-
-    @property
-    def control_size(self) -> int:
-        return 1
-
-    def __call__(self, state, control):
-        return jnp.stack([jnp.cos(state[2]), jnp.sin(state[2]), control[0]])
-
-
-EFFORT = 0.01  # cost of u^2, against one of a second
 GOAL = 6.0  # m, on the x axis
 DISC = jnp.array([3.0, 0.2, 1.0])  # centre and radius in m; it blocks the straight path
 
 
-def time_and_effort(state, control, weights):
-    return 1.0 + EFFORT * (control @ control)
+def around(disc) -> jaxscp.OptimalControlProblem:
+    """On a free mesh: a weight of the mesh would make more local optima, too close for finite differences."""
+    time = jaxscp.Time(CAR_NODES, jaxscp.FreeTime(1.0, 20.0), mesh_weight=None)
+    parameters = {"centre": disc[:2], "radius": disc[2]}
+    parts = lambda p: (p.time, p.constraints[1].parameters)  # noqa: E731
+    return eqx.tree_at(parts, dubins(disc[1]), (time, parameters))
 
 
-def no_terminal_cost(state, time, weights):
-    return jnp.zeros(())
-
-
-def outside_disc(state, control, time, disc):
-    return jnp.linalg.norm(state[:2] - disc[:2])[None] - disc[2]
-
-
-def around(disc) -> OptimalControlProblem:
-    on = jnp.ones(CAR_NODES, bool)
-    limits = repeat_over_nodes(Limits(-jnp.ones(1), jnp.ones(1)), CAR_NODES)
-    discs = repeat_over_nodes(disc, CAR_NODES)
-    return OptimalControlProblem(
-        dynamics=Car(),
-        running_cost=time_and_effort,
-        terminal_cost=no_terminal_cost,
-        weights=(),
-        constraints=(
-            Constraint(within_control_limits, limits, NonNegative(), on, "turn rate", AtNodes()),
-            Constraint(outside_disc, discs, NonNegative(), on, "disc", convex=False),
-        ),
-        initial=fixed(jnp.zeros(3), jnp.ones(3)),
-        final=fixed([GOAL, 0.0, 0.0], [1.0, 1.0, 0.0]),  # any heading
-        dilation_min=jnp.array(1.0),
-        dilation_max=jnp.array(20.0),
-        nodes=CAR_NODES,
-    )
-
-
-def bow(height: float):
-    """States, controls and dilation of a guess from end to end, half a sine to one side; it need not be a motion."""
+def bow(height: float) -> Trajectory:
+    """A guess from end to end, half a sine to one side; it need not be a motion."""
     part = jnp.linspace(0.0, 1.0, CAR_NODES)[:, None]
     states = jnp.concatenate([GOAL * part, height * jnp.sin(jnp.pi * part), 0.0 * part], axis=1)
-    return states, jnp.zeros((CAR_NODES, 1)), jnp.full(CAR_NODES, GOAL)
+    return guessed(states, GOAL)
 
 
 def dubins_path(side: float) -> tuple[float, float]:
@@ -270,18 +210,18 @@ SIDES = pytest.mark.parametrize("side", [-1.0, 1.0], ids=["below", "above"])
 @SIDES
 def test_car_takes_the_shortest_path(drive, side):
     """No path is shorter than the Dubins path, whose cost bounds the optimum from above."""
-    (cost, result), _ = drive(DISC, bow(side))
-    assert_optimal(result)
+    (cost, solution), _ = drive(DISC, bow(side))
+    assert_optimal(solution)
     length, turn = dubins_path(side)
-    time = float(node_times(result.z[:, -1])[-1])
+    time = float(solution.final_time)
     assert length * (1.0 - BARRIER) <= time <= float(cost)
     assert float(cost) <= (length + EFFORT * turn) * (1.0 + JUMPS)
 
 
-def driven(z, samples: int = 50):
+def driven(plan: Trajectory, samples: int = 50):
     """States (intervals, samples, 3) of the planned controls, integrated from the start to the end by SciPy."""
-    turn, dilation = np.asarray(z[:, 3]), np.asarray(z[:, 4])
-    states, state = [], np.asarray(z[0, :3])
+    turn, dilation = np.asarray(plan.control[:, 0]), np.asarray(plan.dilation)
+    states, state = [], np.asarray(plan.state[0])
     for k in range(CAR_NODES - 1):
 
         def slope(part, v, k=k):
@@ -297,38 +237,36 @@ def driven(z, samples: int = 50):
 
 @SIDES
 def test_car_reaches_the_goal_outside_the_disc(drive, side):
-    (_, result), _ = drive(DISC, bow(side))
-    path = driven(result.z)
+    (_, solution), _ = drive(DISC, bow(side))
+    path = driven(solution.trajectory)
     np.testing.assert_allclose(path[0, 0], 0.0, atol=INTEGRATION)
     np.testing.assert_allclose(path[-1, -1, :2], [GOAL, 0.0], atol=INTEGRATION)
     clearance = np.linalg.norm(path[..., :2] - DISC[:2], axis=-1) - DISC[2]
     assert clearance.min() >= -INTEGRATION
-    assert np.max(np.abs(result.z[:, 3])) <= 1.0 + INTEGRATION
+    assert np.max(np.abs(solution.trajectory.control)) <= 1.0 + INTEGRATION
 
 
 @pytest.fixture(scope="module")
-def conditions():
-    """(disc, end) -> residual of stationarity by an independent integration, and values of the inequalities."""
+def values():
+    """(disc, guess, node variables) -> values of the inequalities."""
 
-    def of(disc, end):
-        problem = around(disc)
-        values = inequalities(problem, end.z, evaluate(problem, end.z, METHOD.grid))
-        gradient = verified_gradient(problem, end.z, end.multipliers, METHOD.grid)
-        return stationarity(gradient, end.z, end.cost), values
+    def of(disc, guess, z):
+        problem = over_scaled_time(canonical(around(disc)), Continuous(), guess)
+        return inequalities(problem, z, evaluate(problem, z, METHOD.grid))
 
     return jax.jit(of, compiler_options=options())
 
 
 @SIDES
-def test_car_ends_where_the_conditions_of_optimality_hold(drive, conditions, side):
-    """Stationarity, signs of values and multipliers, complementarity."""
-    (_, end), _ = drive(DISC, bow(side))
-    stationary, values = conditions(DISC, end)
-    assert float(stationary) <= STATIONARY
-    for multipliers, value in zip(end.multipliers.values, values, strict=True):
-        assert float(jnp.min(multipliers)) >= 0.0
+def test_car_ends_where_the_conditions_of_optimality_hold(drive, values, side):
+    """Stationarity by the certificate's own integration, signs of values and multipliers, complementarity."""
+    (_, solution), _ = drive(DISC, bow(side))
+    assert float(solution.certificate.optimality) <= STATIONARY
+    multipliers = solution.multipliers.values
+    for multiplier, value in zip(multipliers, values(DISC, bow(side), solution.z), strict=True):
+        assert float(jnp.min(multiplier)) >= 0.0
         assert float(jnp.min(value)) >= -INTEGRATION
-        assert float(jnp.max(multipliers * jnp.abs(value))) <= COMPLEMENTARY
+        assert float(jnp.max(multiplier * jnp.abs(value))) <= COMPLEMENTARY
 
 
 def test_gradient_in_the_disc_agrees_with_finite_differences(drive):

@@ -27,8 +27,8 @@ def test_plans_land_where_they_say(seed):
     solutions = jax.jit(jax.vmap(jaxscp.Planner(method=jaxscp.PTR())))(scenarios)
     names = status_names(solutions.status)
     assert set(names) == {"converged"}, names
-    assert np.max(solutions.certificate.position_error) < DISTANCE
-    assert np.max(solutions.certificate.attitude_error) < ANGLE
+    assert np.max(solutions.certificate.error("final position")) < DISTANCE
+    assert np.max(solutions.certificate.error("final attitude")) < ANGLE
     for leaf in jax.tree.leaves(solutions):
         assert np.all(np.isfinite(leaf))
 

@@ -10,9 +10,15 @@ from scipy.integrate import solve_ivp
 from jaxscp import airframes
 from jaxscp.dynamics.base import Dynamics
 from jaxscp.dynamics.double_integrator import DoubleIntegrator
-from jaxscp.problem.problem import Boundary, FixedComponents, OptimalControlProblem, fixed_components
+from jaxscp.problem.boundary import Boundary, fixed_state
+from jaxscp.problem.cost import Cost
+from jaxscp.problem.form import Continuous
+from jaxscp.problem.lowering import over_scaled_time
+from jaxscp.problem.problem import OptimalControlProblem
+from jaxscp.problem.scaled_time import ScaledTimeProblem
+from jaxscp.problem.time import FreeTime, Time
 from jaxscp.transcription.discretise import discretise
-from jaxscp.transcription.layout import interval_inputs
+from jaxscp.transcription.layout import interval_variables
 
 EXACT = 1e-12  # RK4 integrates these polynomials exactly, except for rounding
 INDEPENDENT = 1e-8  # twenty RK4 steps over a tenth of a second, compared with an integration to 1e-12
@@ -29,32 +35,20 @@ class SingleIntegrator(Dynamics):
     def control_size(self) -> int:
         return 1
 
-    def __call__(self, state, control):
+    def __call__(self, state, control, time):
         return control
 
 
-def quadratic_cost(state, control, weights):
+def quadratic_cost(state, control, time, parameters):
     return jnp.sum(control**2)
 
 
-def no_cost(state, time, weights):
-    return jnp.zeros(())
-
-
-def problem_of(dynamics, nodes: int) -> OptimalControlProblem:
-    free = FixedComponents(jnp.zeros(dynamics.state_size), jnp.zeros(dynamics.state_size))
-    return OptimalControlProblem(
-        dynamics=dynamics,
-        running_cost=quadratic_cost,
-        terminal_cost=no_cost,
-        weights=(),
-        constraints=(),
-        initial=Boundary(fixed_components, free),
-        final=Boundary(fixed_components, free),
-        dilation_min=jnp.asarray(0.1),
-        dilation_max=jnp.asarray(10.0),
-        nodes=nodes,
+def problem_of(dynamics, nodes: int) -> ScaledTimeProblem:
+    free = fixed_state([None] * dynamics.state_size)
+    problem = OptimalControlProblem(
+        dynamics, Cost(quadratic_cost), Boundary(free, free), Time(nodes, FreeTime(0.1, 10.0))
     )
+    return over_scaled_time(problem, Continuous())
 
 
 def random_node_variables(problem, key, dilation=None):
@@ -124,7 +118,7 @@ def integrated(problem, w):
     n, m, width = 13, 5, 1.0 / (problem.nodes - 1)
 
     def rate(x, control):
-        return control[-1] * problem.dynamics(x, control[:-1])
+        return control[-1] * problem.dynamics(x, control[:-1], 0.0)
 
     value = jax.jit(rate)
     in_state, in_control = jax.jit(jax.jacrev(rate)), jax.jit(jax.jacrev(rate, argnums=1))
@@ -147,7 +141,7 @@ def integrated(problem, w):
 def test_quadrotor_against_an_independent_integration(quadrotor):
     problem, z = quadrotor
     flow = discretise(problem, z, 20)
-    w = np.asarray(interval_inputs(problem, z))
+    w = np.asarray(interval_variables(problem, z))
     for i in range(problem.nodes - 1):
         end, jacobian = integrated(problem, w[i])
         np.testing.assert_allclose(flow.state[i], end, atol=INDEPENDENT)

@@ -9,7 +9,7 @@ import pytest
 from jaxscp.dynamics.rotations import from_yaw
 from jaxscp.landing.problem import Pose, same_pose
 from jaxscp.transcription.discretise import propagate
-from jaxscp.transcription.layout import interval_inputs
+from jaxscp.transcription.layout import interval_variables
 from jaxscp.transcription.shooting import Grid, evaluate, linearise
 from tests.support.flights import random_nodes, short_problem
 
@@ -47,7 +47,7 @@ def test_jacobians_are_differences(problem):
     values = jax.jit(lambda z: evaluate(problem, z, Grid()))
     direction = jnp.asarray(np.random.default_rng(2).standard_normal(z.shape))
     h = 1e-6
-    w = interval_inputs(problem, direction)
+    w = interval_variables(problem, direction)
     plus, minus = values(z + h * direction), values(z - h * direction)
     for jacobian, a, b in zip(*map(jax.tree.leaves, (linear.jacobian, plus, minus)), strict=True):
         slope = jnp.einsum("i...w,iw->i...", jacobian, w)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxscp.transcription.lagrangian import no_multipliers
-from jaxscp.transcription.layout import interval_inputs
+from jaxscp.transcription.layout import interval_variables
 from jaxscp.transcription.shooting import Grid, evaluate, linearise, linearise_with_hessian
 from tests.support.flights import random_nodes, short_problem
 
@@ -35,7 +35,7 @@ def test_it_is_what_automatic_differentiation_says(grid):
     linear, curvature = jax.jit(lambda z: linearise_with_hessian(problem, z, y, grid))(z)
     for _ in range(3):
         d, e = (jnp.asarray(random.standard_normal(z.shape)) for _ in range(2))
-        v, w = interval_inputs(problem, d), interval_inputs(problem, e)
+        v, w = interval_variables(problem, d), interval_variables(problem, e)
         expected = jnp.vdot(e, along(d))
         np.testing.assert_allclose(jnp.einsum("iw,iwv,iv->", w, curvature, v), expected, rtol=ROUNDING)
     plain = jax.jit(lambda z: linearise(problem, z, grid))(z)

@@ -52,7 +52,8 @@ def test_residual_is_relative_to_the_cost(point):
     cost = jnp.asarray(40.0)
     first_order_only = stationarity(lagrangian_gradient(problem, z, linear, y), z, cost)
     assert float(first_order_only) > 0.1
-    heavier = eqx.tree_at(lambda p: p.weights, problem, jax.tree.map(lambda w: 3.0 * w, problem.weights))
+    weights = jax.tree.map(lambda w: 3.0 * w, problem.cost.parameters)
+    heavier = eqx.tree_at(lambda p: p.cost.parameters, problem, weights)
     again = jax.jit(lambda z: linearise(heavier, z, Grid()))(z)
     threefold = lagrangian_gradient(heavier, z, again, jax.tree.map(lambda v: 3.0 * v, y))
     thrice = stationarity(threefold, z, 3.0 * cost)

@@ -27,7 +27,7 @@ class Extreme(Dynamics):
     state_size = 2
     control_size = 1
 
-    def __call__(self, state, control):
+    def __call__(self, state, control, time):
         x, y = state
         return jnp.stack([-(control[0] ** 2) * x, self.power * y * y])
 
@@ -38,7 +38,7 @@ class Many(Dynamics):
     state_size = cuda_source.WARP + 3
     control_size = 1
 
-    def __call__(self, state, control):
+    def __call__(self, state, control, time):
         return control[0] * jnp.sin(jnp.concatenate([state[1:], state[:1]]) - state)
 
 
@@ -49,6 +49,11 @@ def flights(count):
     control = BODY.hover_thrust() * (1.0 + 0.1 * jax.random.normal(keys[1], (count, NODES, 4)))
     dilation = 1.0 + jax.random.uniform(keys[2], (count, NODES))
     return start, control, dilation
+
+
+def by_diffrax(dynamics, start, control, dilation, samples=SAMPLES):
+    """States of controls that are linear between the nodes."""
+    return in_jax.states(dynamics, start, (control[:-1], control[1:]), dilation, samples)
 
 
 def integrated_by(group_size, tmp_path):
@@ -89,7 +94,7 @@ def test_a_warp_integrates_one_trajectory(tmp_path, monkeypatch):
         return jax.jit(jax.vmap(lambda *one: states(Many(), *one, samples)))(*given)
 
     found = by(integrated_by(cuda_source.WARP, tmp_path))
-    np.testing.assert_allclose(found, by(in_jax.states), rtol=0, atol=AGREEMENT)
+    np.testing.assert_allclose(found, by(by_diffrax), rtol=0, atol=AGREEMENT)
 
 
 @needs_compiler
@@ -101,7 +106,7 @@ def test_it_is_the_rollout_by_diffrax(emulated):
     def by(states):
         return jax.jit(jax.vmap(lambda mass, *rest: states(bodies(mass), *rest, SAMPLES)))(*given)
 
-    expected, found = by(in_jax.states), by(emulated)
+    expected, found = by(by_diffrax), by(emulated)
     assert found.shape == (3, NODES - 1, SAMPLES, 13)
     np.testing.assert_allclose(found, expected, rtol=0, atol=AGREEMENT)
 
@@ -125,14 +130,14 @@ class Sudden(Dynamics):
     state_size = 1
     control_size = 1
 
-    def __call__(self, state, control):
+    def __call__(self, state, control, time):
         return -control[0] * state * jnp.sqrt(1.0 + state)
 
 
 @needs_compiler
 def test_a_step_that_leads_nowhere_is_shortened(emulated):
     given = jnp.ones(1), jnp.full((NODES, 1), 300.0), jnp.full(NODES, 1.0)
-    expected, found = in_jax.states(Sudden(), *given, SAMPLES), emulated(Sudden(), *given)
+    expected, found = by_diffrax(Sudden(), *given), emulated(Sudden(), *given)
     assert np.isfinite(expected).all()
     np.testing.assert_allclose(found, expected, rtol=0, atol=AGREEMENT)
 
@@ -142,7 +147,7 @@ def test_a_failed_integration_is_infinite_and_other_elements_are_not(emulated):
     powers = jnp.array([0.1, 2.0, jnp.nan])
     start, control, dilation = jnp.array([1.0, 1.0]), jnp.ones((NODES, 1)), jnp.full(NODES, 1.0)
     by = lambda states: jax.vmap(lambda p: states(Extreme(p), start, control, dilation, SAMPLES))(powers)  # noqa: E731
-    expected, found = by(in_jax.states), by(emulated)
+    expected, found = by(by_diffrax), by(emulated)
     np.testing.assert_allclose(found[0], expected[0], rtol=0, atol=AGREEMENT)
     np.testing.assert_array_equal(np.isinf(found[1:]), np.isinf(expected[1:]))
     assert np.isinf(found[1:]).all(axis=(2, 3)).tolist() == [[False, True, True], [True, True, True]]
@@ -181,7 +186,7 @@ class Untraceable(Dynamics):
     state_size = 2
     control_size = 1
 
-    def __call__(self, state, control):
+    def __call__(self, state, control, time):
         return jnp.sort(state) * control
 
 
