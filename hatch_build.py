@@ -6,12 +6,14 @@ import platform
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 SHARED = Path("jaxscp/backends/native")
+SOURCES = Path("jaxscp/backends/sources.py")
 LIBRARIES = {  # stem: sources compiled for each instruction set, sources compiled for any
     Path("jaxscp/conic/native/interior_point"): (("handler",), ("gpu_handler",)),
     Path("jaxscp/linalg/gram/native/gram"): (("handler",), ()),
@@ -58,7 +60,8 @@ class NativeBuild(BuildHookInterface):
 def compile_library(compiler: str, root: Path, stem: Path, level: str, machine: tuple[str, ...]) -> Path:
     """File of a library for one instruction set.
 
-    ``runs_here.cc`` asks the processor for its instructions, so it is compiled for any processor.
+    ``runs_here.cc`` asks the processor for its instructions, so it is compiled for any processor. It also carries the
+    digest of the sources.
 
     Args:
         compiler: C++ compiler.
@@ -73,7 +76,8 @@ def compile_library(compiler: str, root: Path, stem: Path, level: str, machine: 
     number = level.removeprefix("v") if machine else "0"
     sources = {folder / f"{name}.cc": machine for name in of_level}
     sources |= {folder / f"{name}.cc": () for name in of_any}
-    sources[root / SHARED / "runs_here.cc"] = (f"-DJAXSCP_LEVEL={number}",)
+    digest = digest_of_sources(root)(folder)
+    sources[root / SHARED / "runs_here.cc"] = (f"-DJAXSCP_LEVEL={number}", f'-DJAXSCP_SOURCES="{digest}"')
     library = folder / f"{stem.name}_{level}.so"
     with tempfile.TemporaryDirectory() as scratch:
         objects = [Path(scratch) / f"{source.stem}.o" for source in sources]
@@ -92,6 +96,14 @@ def compile_library(compiler: str, root: Path, stem: Path, level: str, machine: 
             )
         run(compiler, "-shared", *objects, "-ldl", "-o", library)
     return library
+
+
+def digest_of_sources(root: Path) -> Callable[[Path], str]:
+    """The package's own function, loaded from its file: the package itself needs JAX, which a build does not have."""
+    spec = importlib.util.spec_from_file_location("jaxscp_sources", root / SOURCES)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.digest
 
 
 def run(*command: str | Path) -> None:

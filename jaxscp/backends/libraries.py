@@ -5,7 +5,7 @@ Headers shared by all of them are in ``native/``:
     pack.h          SIMD register of float64
     dense.h         products of small matrices, whose rows are in registers
     workspace.h     arrays that are allocated once and used again
-    runs_here.cc    check of this machine's instruction set
+    runs_here.cc    check of this machine's instruction set; digest of the sources
     parallel_for.h  loops over XLA's thread pool
     driver.h        NVIDIA's driver, which launches kernels; ``cuda.py`` compiles those
 """
@@ -19,6 +19,8 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+
+from jaxscp.backends.sources import SHARED, digest
 
 LEVELS = ("v4", "v3", "any")
 """Instruction sets, best first: x86-64-v4, x86-64-v3, and the compiler's default."""
@@ -72,7 +74,7 @@ class Library(NamedTuple):
 
 
 _PACKAGE = Path(__file__).parents[1]
-HEADERS = Path(__file__).parent / "native"
+HEADERS = SHARED
 INTERIOR_POINT = Library(
     _PACKAGE / "conic/native/interior_point",
     ("jaxscp_interior_point",),
@@ -106,12 +108,34 @@ def level(stem: Path, handler: str, platform: str = "cpu") -> str | None:
 
 @functools.cache
 def library(stem: Path, level: str) -> ctypes.CDLL | None:
-    """Library for an instruction set; None if it was not compiled or this machine lacks the instructions."""
+    """Library for an instruction set; None if it was not compiled or this machine lacks the instructions.
+
+    Also None, with a warning, if the library was compiled from other sources than the present ones: such a library may
+    expect other arguments.
+    """
     file = stem.with_name(f"{stem.name}_{level}.so")
     if not file.exists():
         return None
     found = ctypes.CDLL(str(file))
-    return found if found.jaxscp_runs_here() else None
+    if not found.jaxscp_runs_here():
+        return None
+    if compiled_from(found) != digest(stem.parent):
+        warnings.warn(
+            "jaxscp: the compiled C++ is older than its sources and is not used, and jaxscp is slower; "
+            "install jaxscp again to compile it again",
+            stacklevel=2,
+        )
+        return None
+    return found
+
+
+def compiled_from(library: ctypes.CDLL) -> str:
+    """Digest of the sources that a loaded library was compiled from; empty if the library does not carry it."""
+    function = getattr(library, "jaxscp_sources", None)
+    if function is None:
+        return ""
+    function.restype = ctypes.c_char_p
+    return function().decode()
 
 
 def register(library: ctypes.CDLL, handler: str, platform: str = "cpu", target: str | None = None) -> bool:

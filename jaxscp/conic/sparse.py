@@ -184,7 +184,7 @@ def _coupling_rows(links: Numpy, scale: np.ndarray) -> AffineRows:
 
 
 def _block_diagonal(blocks: np.ndarray) -> Sparse:
-    matrix = scipy.sparse.block_diag(list(blocks), format="csr")
+    matrix = scipy.sparse.block_diag([scipy.sparse.coo_matrix(block) for block in blocks], format="csr")
     matrix.eliminate_zeros()
     return matrix
 

@@ -1,12 +1,15 @@
 """Names shared by the build hook, the table of libraries, and the C++."""
 
+import ctypes
 import re
+import shutil
 from pathlib import Path
 
 import pytest
 
 from jaxscp.backends import cuda, libraries
 from jaxscp.backends.codegen import tape
+from jaxscp.backends.sources import digest
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = Path(libraries.__file__).parents[1]
@@ -55,3 +58,39 @@ def test_operations_have_the_same_codes_in_python_and_in_the_c_plus_plus():
 def test_launchers_read_the_attributes_that_carry_a_kernel(library):
     text = (library.stem.parent / "gpu_handler.cc").read_text()
     assert all(f'("{name}")' in text for name in cuda.attributes(b"a cubin"))
+
+
+@pytest.fixture
+def copied(tmp_path):
+    """A function that loads a copy of a library, and the folder of the copy."""
+    level = libraries.GRAM.level()
+    if level is None:
+        pytest.skip("the libraries are not compiled")
+    folder = tmp_path / "native"
+    shutil.copytree(libraries.GRAM.stem.parent, folder)
+    return lambda: libraries.library.__wrapped__(folder / libraries.GRAM.stem.name, level), folder
+
+
+def test_a_library_of_the_present_sources_is_loaded(copied):
+    load, folder = copied
+    assert libraries.compiled_from(load()) == digest(folder)
+
+
+def test_a_library_older_than_its_sources_is_refused(copied):
+    load, folder = copied
+    source = folder / "gram.h"
+    source.write_text(source.read_text() + "\n// changed\n")
+    with pytest.warns(UserWarning, match="older than its sources .* install jaxscp again"):
+        assert load() is None
+
+
+def test_a_change_of_a_shared_header_changes_the_digest(tmp_path):
+    own, shared = libraries.GRAM.stem.parent, tmp_path / "shared"
+    shutil.copytree(libraries.HEADERS, shared)
+    assert digest(own, shared) == digest(own)
+    (shared / "pack.h").write_text("")
+    assert digest(own, shared) != digest(own)
+
+
+def test_a_library_from_before_there_was_a_digest_has_none():
+    assert libraries.compiled_from(ctypes.CDLL(None)) == ""

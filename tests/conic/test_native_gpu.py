@@ -42,7 +42,7 @@ SHAPES = {
     "variables outnumber entries": {"nodes": 3, "variables": 18, "rows": 2, "coupled": 2, "norm": False},
     "too many coupled": {"nodes": 3, "variables": 6, "rows": 3, "cones": 1, "coupled": 4},
 }
-ALWAYS = ("norm cost", "three coupled")
+ALWAYS = ("norm cost",)
 
 
 def emulated(program, folder: Path) -> ctypes.CDLL:

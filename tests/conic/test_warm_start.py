@@ -103,10 +103,8 @@ def test_each_batch_element_has_its_own_warm_start():
         assert int(batch.iterations[element]) == int(alone.iterations)
 
 
-@pytest.mark.parametrize(
-    "norm",
-    [pytest.param(True, id="norm cost"), pytest.param(False, id="quadratic cost", marks=pytest.mark.slow)],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("norm", [True, False], ids=["norm cost", "quadratic cost"])
 def test_the_compiled_loop_starts_as_jax_does(norm):
     program = random_program(4, norm=norm)
     solution = jax.jit(InteriorPoint().__call__)(perturbed(program, 0.1))

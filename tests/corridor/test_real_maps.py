@@ -15,6 +15,7 @@ FOLDER = Path(os.environ.get("JAXSCP_MAPS", Path(__file__).parents[3] / "shared"
 LEVINE_HALLWAY = ([-1.5, 1.0, 1.0], [12.0, 26.0, 1.2])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["levine.stl", "cloud_0917.pcd", "outdoor_scan.pcd"])
 def test_a_corridor_through_a_real_map_holds_none_of_its_points(name):
     path = FOLDER / name

@@ -55,7 +55,7 @@ def test_compiled_equals_jax(rate, name, method):
     ("name", "grid"),
     [
         ("evaluate", Grid()),
-        ("linearise", Grid(subintervals=3, steps=2)),
+        pytest.param("linearise", Grid(subintervals=3, steps=2), marks=pytest.mark.slow),
         # in JAX this takes half a minute to compile
         pytest.param("linearise_with_hessian", Grid(), marks=pytest.mark.slow),
     ],
@@ -90,7 +90,13 @@ def outputs_in_jax(problem, z, grid):
     )
 
 
-@pytest.mark.parametrize("rate", RATES.values(), ids=RATES)
+@pytest.mark.parametrize(
+    "rate",
+    [
+        pytest.param(rate, id=name, marks=[pytest.mark.slow] if name == "rigid body" else [])
+        for name, rate in RATES.items()
+    ],
+)
 def test_tape_evaluated_by_jax_equals_jax(rate):
     """The implementation of GPUs without a kernel."""
     intervals, w, data = random_case(*rate, tableaus.CLASSICAL, order=1, outputs=False)
@@ -112,10 +118,16 @@ def test_other_devices_evaluate_functions_of_w(monkeypatch):
     assert jax.tree.map(lambda v: v.shape, expected) == jax.tree.map(lambda v: v.shape, found)
 
 
-@needs_compiled
-def test_every_instruction_set_gives_the_same(at_level):
+@pytest.fixture(scope="module")
+def best_level():
+    """Arguments, and the Hessians by the library that the package itself would load."""
     arguments = random_case(*RATES["every operation"], tableaus.CLASSICAL)
-    expected = jax.jit(dispatch.linearise_with_hessian)(*arguments)
+    return arguments, jax.jit(dispatch.linearise_with_hessian)(*arguments)
+
+
+@needs_compiled
+def test_every_instruction_set_gives_the_same(best_level, at_level):
+    arguments, expected = best_level
     at_level(native, "TARGET")
     jax.clear_caches()
     found = jax.jit(lambda *a: dispatch.linearise_with_hessian(*a))(*arguments)
@@ -167,7 +179,7 @@ class LinearSolve(eqx.Module):
 
 
 @needs_compiled
-@pytest.mark.parametrize("name", ["evaluate", "linearise"])
+@pytest.mark.parametrize("name", ["evaluate", pytest.param("linearise", marks=pytest.mark.slow)])
 def test_jax_takes_functions_that_are_not_float64_arithmetic(name):
     order = ORDERS[name]
     ours, theirs = getattr(dispatch, name), getattr(in_jax, name)
@@ -185,7 +197,7 @@ def test_jax_takes_functions_that_are_not_float64_arithmetic(name):
 
 
 @needs_compiled
-@pytest.mark.parametrize("name", ["evaluate", "linearise"])
+@pytest.mark.parametrize("name", ["evaluate", pytest.param("linearise", marks=pytest.mark.slow)])
 def test_derivatives_are_those_of_jax(name):
     intervals, w, data = random_case(*RATES["every operation"], tableaus.CLASSICAL, order=1)
 

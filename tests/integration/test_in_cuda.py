@@ -55,6 +55,7 @@ def test_kernel_equals_jax(rate, method, columns, emulated):
     assert_same(jax.jit(in_jax.linearise)(intervals, w, data), found)
 
 
+@pytest.mark.slow
 @needs_compiler
 def test_kernel_equals_dispatch_on_a_landing(emulated):
     """With the intervals of ``discretise``."""

@@ -112,7 +112,8 @@ def test_shipped_missions_are_valid(mission):
     jaxscp.validate(mission(), 30)
 
 
-def test_bad_lane_of_a_batch_gets_a_status_and_harms_no_other(scenario):
+@pytest.mark.slow
+def test_bad_element_of_a_batch_gets_a_status_and_harms_no_other(scenario):
     """Batch elements 1 and 2 are invalid, with NaN for numbers; elements 0 and 3 must not be affected."""
     batch = jax.tree.map(lambda v: jnp.stack([v] * 4), scenario)
     heavier = batch.airframe.body.mass * jnp.array([1.0, 1.0, 1.0, 1.1])

@@ -47,18 +47,30 @@ def random_vector(problem, seed):
     return riccati.KKTVector(*(jnp.asarray(random.standard_normal(s)) for s in shapes))
 
 
+# Compiled once for each shape.
+factor, solve = jax.jit(riccati.factor), jax.jit(riccati.solve)
+factor_in_jax, solve_in_jax = jax.jit(in_jax.factor), jax.jit(in_jax.solve, static_argnums=2)
+
+
+@jax.jit
+def dense_matrix(problem, like):
+    """Matrix of the system, column by column; ``like`` is any right-hand side."""
+    flat, unravel = jax.flatten_util.ravel_pytree(like)
+    return jax.jacfwd(lambda v: jax.flatten_util.ravel_pytree(riccati.apply(problem, unravel(v)))[0])(flat)
+
+
 @pytest.mark.parametrize("convex", [True, False])
 def test_solves_the_dense_system(convex):
     problem = random_lq(0, convex)
     right = random_vector(problem, 1)
-    flat, unravel = jax.flatten_util.ravel_pytree(right)
-    dense = jax.jacfwd(lambda v: jax.flatten_util.ravel_pytree(riccati.apply(problem, unravel(v)))[0])(flat)
+    flat, _ = jax.flatten_util.ravel_pytree(right)
+    dense = dense_matrix(problem, right)
     np.testing.assert_allclose(dense, dense.T, atol=1e-12)
-    factor = riccati.factor(problem)
-    assert bool(factor.definite)
+    factored = factor(problem)
+    assert bool(factored.definite)
     if not convex:
         assert float(jnp.min(jnp.linalg.eigvalsh(problem.hessian))) < -1.0
-    found = jax.flatten_util.ravel_pytree(riccati.solve(factor, right))[0]
+    found = jax.flatten_util.ravel_pytree(solve(factored, right))[0]
     expected = np.linalg.solve(dense, flat)
     np.testing.assert_allclose(found, expected, atol=ROUNDING * np.max(np.abs(expected)))
 
@@ -66,8 +78,8 @@ def test_solves_the_dense_system(convex):
 def test_a_saddle_is_not_definite():
     problem = random_lq(0, True)
     saddle = dataclasses.replace(problem, hessian=problem.hessian.at[2, -1, -1].add(-1e3))
-    assert not bool(riccati.factor(saddle).definite)
-    assert bool(riccati.factor(saddle.shifted(jnp.asarray(2e3))).definite)
+    assert not bool(factor(saddle).definite)
+    assert bool(factor(saddle.shifted(jnp.asarray(2e3))).definite)
 
 
 def assert_same(a, b, tolerance):
@@ -91,11 +103,11 @@ SHAPES = {
 def test_compiled_equals_jax(shape):
     problem = random_lq(3, True, **shape)
     right = random_vector(problem, 4)
-    factor = in_jax.factor(problem)
-    assert_same(factor, jax.jit(native.factor)(problem), ROUNDING)
+    expected = factor_in_jax(problem)
+    assert_same(expected, jax.jit(native.factor)(problem), ROUNDING)
     for refinements, tolerance in ((0, UNREFINED), (2, ROUNDING)):
-        solved = jax.jit(native.solve, static_argnums=2)(factor, right, refinements)
-        assert_same(in_jax.solve(factor, right, refinements), solved, tolerance)
+        solved = jax.jit(native.solve, static_argnums=2)(expected, right, refinements)
+        assert_same(solve_in_jax(expected, right, refinements), solved, tolerance)
 
 
 @compiled
@@ -103,10 +115,10 @@ def test_compiled_equals_jax(shape):
 def test_every_instruction_set_gives_the_same(shape, at_level):
     problem = random_lq(3, True, **shape)
     right = random_vector(problem, 4)
-    factor = in_jax.factor(problem)
+    expected = factor_in_jax(problem)
     at_level(native, "FACTOR", "SOLVE")
-    assert_same(factor, native.factor(problem), ROUNDING)
-    assert_same(in_jax.solve(factor, right, 2), native.solve(factor, right, 2), ROUNDING)
+    assert_same(expected, native.factor(problem), ROUNDING)
+    assert_same(solve_in_jax(expected, right, 2), native.solve(expected, right, 2), ROUNDING)
 
 
 @compiled
@@ -118,8 +130,8 @@ def test_batch_elements_equal_single_problems():
     stack = lambda trees: jax.tree.map(lambda *v: jnp.stack(v), *trees)  # noqa: E731
 
     def both(problem, vector):
-        factor = riccati.factor(problem)
-        return factor, riccati.solve(factor, vector)
+        factored = riccati.factor(problem)
+        return factored, riccati.solve(factored, vector)
 
     factors, found = jax.jit(jax.vmap(both))(stack(problems), stack(vectors))
     np.testing.assert_array_equal(jax.vmap(lambda f: f.definite)(factors), [i != 1 for i in range(5)])

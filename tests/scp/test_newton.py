@@ -72,6 +72,7 @@ def ascent():
     return setup(scenarios.ascent_to_platform())[:2]
 
 
+@pytest.mark.slow
 def test_coarse_subproblems_lead_to_an_optimum_of_the_same_cost(ascent):
     run = by_forcing(lambda method: method.run(*ascent))
     coarse, exact = run(NewtonSCP().initial_forcing), run(0.0)

@@ -136,6 +136,7 @@ def cheapest():
     return compiled(without_limit)
 
 
+@pytest.mark.slow
 def test_minimum_energy_at_a_fixed_time_without_constraints(cheapest):
     """The integral of u^2 is 12 d^2 / t_f^3, and u falls along a straight line. Two equal limits of the dilation fix
     t_f, so that the derivative in t_f is the sum of theirs."""
@@ -149,6 +150,7 @@ def test_minimum_energy_at_a_fixed_time_without_constraints(cheapest):
     np.testing.assert_allclose(gradient.shortest + gradient.longest, -36.0 * d**2 / T**4, rtol=BARRIER)
 
 
+@pytest.mark.slow
 def test_time_against_energy_without_constraints(cheapest):
     """t_f + w times the integral of u^2 is least at t_f^4 = 36 w d^2, and is 4/3 t_f there."""
     (cost, solution), gradient = cheapest(floats(BOTH), smooth(BOTH.distance, 4.0))
@@ -207,6 +209,7 @@ def drive():
 SIDES = pytest.mark.parametrize("side", [-1.0, 1.0], ids=["below", "above"])
 
 
+@pytest.mark.slow
 @SIDES
 def test_car_takes_the_shortest_path(drive, side):
     """No path is shorter than the Dubins path, whose cost bounds the optimum from above."""
@@ -235,6 +238,7 @@ def driven(plan: Trajectory, samples: int = 50):
     return np.stack(states)
 
 
+@pytest.mark.slow
 @SIDES
 def test_car_reaches_the_goal_outside_the_disc(drive, side):
     (_, solution), _ = drive(DISC, bow(side))
@@ -257,6 +261,7 @@ def values():
     return jax.jit(of, compiler_options=options())
 
 
+@pytest.mark.slow
 @SIDES
 def test_car_ends_where_the_conditions_of_optimality_hold(drive, values, side):
     """Stationarity by the certificate's own integration, signs of values and multipliers, complementarity."""
@@ -269,6 +274,7 @@ def test_car_ends_where_the_conditions_of_optimality_hold(drive, values, side):
         assert float(jnp.max(multiplier * jnp.abs(value))) <= COMPLEMENTARY
 
 
+@pytest.mark.slow
 def test_gradient_in_the_disc_agrees_with_finite_differences(drive):
     _, gradient = drive(DISC, bow(-1.0))
     differences = [

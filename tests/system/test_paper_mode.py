@@ -84,6 +84,7 @@ def test_arrays_survive_the_way_there(both, case):
     np.testing.assert_allclose(z[:, 13:15], theirs.history[0].elapsed, rtol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mission", [scenarios.platform_to_platform, scenarios.ascent_to_platform])
 def test_coarse_subproblems_lead_to_the_same_stop(mission):
     coarse, exact = (

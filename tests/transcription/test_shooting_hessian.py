@@ -1,10 +1,13 @@
 """Second derivatives of intervals by one integration, compared with automatic differentiation of the whole."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxscp.backends.xla import options
 from jaxscp.transcription.lagrangian import no_multipliers
 from jaxscp.transcription.layout import interval_variables
 from jaxscp.transcription.shooting import Grid, evaluate, linearise, linearise_with_hessian
@@ -13,7 +16,11 @@ from tests.support.flights import random_nodes, short_problem
 ROUNDING = 1e-10
 
 
-@pytest.mark.parametrize("grid", [Grid(), Grid(subintervals=3, steps=2)])
+@pytest.mark.parametrize(
+    "grid",
+    [Grid(), pytest.param(Grid(subintervals=3, steps=2), marks=pytest.mark.slow)],
+    ids=["default", "coarse"],
+)
 def test_it_is_what_automatic_differentiation_says(grid):
     problem, random = short_problem(), np.random.default_rng(0)
     z = random_nodes(problem, 1)
@@ -27,12 +34,13 @@ def test_it_is_what_automatic_differentiation_says(grid):
             total -= jnp.sum(jnp.where(c.active_in_intervals(v.shape[1])[:, :, None], multiplier * v, 0.0))
         return total
 
-    @jax.jit
+    @functools.partial(jax.jit, compiler_options=options())
     def along(d):
         """Product of the second derivatives with a direction."""
         return jax.jvp(jax.grad(lagrangian), (z,), (d,))[1]
 
-    linear, curvature = jax.jit(lambda z: linearise_with_hessian(problem, z, y, grid))(z)
+    second_order = jax.jit(lambda z: linearise_with_hessian(problem, z, y, grid), compiler_options=options())
+    linear, curvature = second_order(z)
     for _ in range(3):
         d, e = (jnp.asarray(random.standard_normal(z.shape)) for _ in range(2))
         v, w = interval_variables(problem, d), interval_variables(problem, e)

@@ -78,6 +78,7 @@ def emulated(tmp_path, monkeypatch):
     return integrated_by(1, tmp_path)
 
 
+@pytest.mark.slow
 @needs_compiler
 def test_a_warp_integrates_one_trajectory(tmp_path, monkeypatch):
     """More states and samples than threads a trajectory, and more trajectories than a block has."""

@@ -1,3 +1,8 @@
+// What a library tells of itself.
+
+// Digest of the sources that it was compiled from (sources.py).
+extern "C" const char* jaxscp_sources() { return JAXSCP_SOURCES; }
+
 // Whether this machine has the instruction set that the library was compiled for.
 
 extern "C" int jaxscp_runs_here() {
