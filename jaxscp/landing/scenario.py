@@ -10,6 +10,7 @@ from jaxscp.landing.guess import initial_guess
 from jaxscp.landing.mission import Mission
 from jaxscp.landing.problem import landing_problem
 from jaxscp.landing.validation import check_types, valid, validate
+from jaxscp.landing.warm_guess import warm_guess
 from jaxscp.problem.form import Form
 from jaxscp.problem.node_values import node_times
 from jaxscp.problem.problem import OptimalControlProblem
@@ -69,3 +70,7 @@ class LandingScenario(Mission):
         """A smooth trajectory through the corridor, without derivatives."""
         guess = initial_guess(jax.lax.stop_gradient(self), context)
         return Trajectory(node_times(guess.dilation), guess.states, guess.controls, guess.dilation)
+
+    def warm_guess(self, plan: Trajectory) -> Trajectory:
+        """A plan of a similar scenario, moved to this one's start and goal."""
+        return warm_guess(jax.lax.stop_gradient(self), plan)

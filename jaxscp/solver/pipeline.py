@@ -23,6 +23,7 @@ from jaxscp.core.types import Flag
 from jaxscp.problem.canonical import canonical
 from jaxscp.problem.lowering import over_scaled_time
 from jaxscp.problem.scaled_time import ScaledTimeProblem
+from jaxscp.problem.trajectory import Trajectory
 from jaxscp.scp.method import Method, MethodResult, iterate
 from jaxscp.solver.conclude import conclude
 from jaxscp.solver.load import load_planner
@@ -55,7 +56,7 @@ class Pipeline(eqx.Module):
         """The solution of a changed scenario, from the solution of a similar one."""
         self.check(scenario)
         inputs = scenario.solver_inputs()
-        begun = (*_setup_again(self, inputs, solution.context), solution.z, solution.context)
+        begun = _setup_again(self, inputs, solution.context, solution.trajectory)
         if (compiled := planner_cache.cached(self._maker(), inputs, begun)) is not None:
             return compiled.run_from(begun)
         return _conclude(self, *_solve(self, *begun))
@@ -98,10 +99,12 @@ def _setup(pipeline: Pipeline, scenario: Scenario):
 
 
 @functools.partial(jit_with_options, static_argnums=0)
-def _setup_again(pipeline: Pipeline, scenario: Scenario, context: Any):
-    form = pipeline.method.form
+def _setup_again(pipeline: Pipeline, scenario: Scenario, context: Any, plan: Trajectory):
+    form, guess = pipeline.method.form, scenario.warm_guess(plan)
     asked, _ = scenario.problem(pipeline.nodes, form, context)
-    return _strongly_typed((scenario.valid(), over_scaled_time(canonical(asked), form)))
+    problem = over_scaled_time(canonical(asked), form, guess)
+    z = problem.join(guess.state, guess.control, guess.dilation)
+    return _strongly_typed((scenario.valid(), problem, z, context))
 
 
 @functools.partial(jit_with_options, static_argnums=0)

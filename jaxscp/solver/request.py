@@ -45,6 +45,10 @@ class Request(eqx.Module):
         """The guess."""
         return self.start
 
+    def warm_guess(self, plan: Trajectory) -> Trajectory:
+        """The plan as it is."""
+        return plan
+
 
 def request(problem: OptimalControlProblem, guess: Any) -> Request:
     """The request for a problem, from a trajectory or a solution of any number of nodes.

@@ -34,3 +34,7 @@ class Scenario(Protocol):
     def guess(self, problem: OptimalControlProblem, context: Any) -> Trajectory:
         """A trajectory to start from."""
         ...
+
+    def warm_guess(self, plan: Trajectory) -> Trajectory:
+        """A trajectory to start a re-plan from, by the plan of a similar scenario."""
+        ...

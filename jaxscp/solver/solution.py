@@ -37,6 +37,6 @@ class Solution(eqx.Module):
     certificate: Certificate
     history: History
     z: Float[Array, "nodes variables"]
-    """Node variables: the warm start of a re-plan."""
+    """Node variables, in the units of the solver."""
     context: Any
     """Data that the scenario built its problem with; for a landing, the polytope of every interval."""
