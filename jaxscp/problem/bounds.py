@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 from jaxscp.cones.cone import NonNegative
 from jaxscp.core.arrays import floats, namespace
 from jaxscp.problem.constraint import AtNodes, Constraint, Throughout
+from jaxscp.problem.errors import InvalidProblem
 
 
 class Side(eqx.Module):
@@ -53,7 +54,7 @@ def bounds(state: Any = None, control: Any = None, name: str = "") -> Constraint
         name: for reports.
 
     Raises:
-        ValueError: if there is no limit at all.
+        InvalidProblem: if there is no limit at all, or no pair.
 
     Example:
         >>> import jaxscp
@@ -63,13 +64,16 @@ def bounds(state: Any = None, control: Any = None, name: str = "") -> Constraint
     """
     sides, limits = [], []
     for of_control, pair in ((False, state), (True, control)):
+        if pair is not None and (not isinstance(pair, tuple | list) or len(pair) != 2):
+            which = "control" if of_control else "state"
+            raise InvalidProblem(f"bounds: {which} takes a pair (lower, upper), got {pair!r}")
         for upper, limit in enumerate(pair if pair is not None else ()):
             chosen, values = _limited(limit)
             if values is not None:
                 sides.append(Side(of_control, bool(upper), chosen, np.size(limit)))
                 limits.append(values)
     if not sides:
-        raise ValueError("bounds: no limit is given; pass state=(lower, upper) or control=(lower, upper)")
+        raise InvalidProblem("bounds: no limit is given; pass state=(lower, upper) or control=(lower, upper)")
     default = "bounds" if state is not None and control is not None else "state bounds"
     default = "control bounds" if state is None else default
     # Controls are linear or constant between nodes, so that limits that hold at both hold between them.

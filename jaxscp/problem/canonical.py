@@ -15,15 +15,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-from jaxscp.cones.cone import Cone
 from jaxscp.core.program import Program, identify, of_this_package, wholly_of_this_package
 from jaxscp.dynamics.base import Dynamics, FunctionDynamics
-from jaxscp.problem.boundary import Boundary, EndCondition, EndRows
-from jaxscp.problem.constraint import Constraint, Where, name_of
+from jaxscp.problem.boundary import Boundary, EndRows
+from jaxscp.problem.constraint import Constraint, name_of
 from jaxscp.problem.cost import Cost
 from jaxscp.problem.errors import InvalidProblem
+from jaxscp.problem.parts import check_parts
 from jaxscp.problem.problem import OptimalControlProblem
-from jaxscp.problem.time import FixedTime, FreeTime, Time
 
 _NUMBER = jax.ShapeDtypeStruct((), float)
 
@@ -37,7 +36,7 @@ def canonical(problem: OptimalControlProblem) -> OptimalControlProblem:
         InvalidProblem: if a function fails, or returns another shape than its part of the problem needs; the message
             names the part.
     """
-    _check_parts(problem)
+    check_parts(problem)
     n, m = problem.dynamics.state_size, problem.dynamics.control_size
     x, u = jax.ShapeDtypeStruct((n,), float), jax.ShapeDtypeStruct((m,), float)
     constraints = [
@@ -55,29 +54,6 @@ def canonical(problem: OptimalControlProblem) -> OptimalControlProblem:
         checks=tuple(checks),
         zero_order_hold=tuple(problem.zero_order_hold),
     )
-
-
-def _check_parts(problem: OptimalControlProblem) -> None:
-    """Raise for a part of another class: a class in place of its instance, say."""
-    parts: list[tuple[str, Any, type | tuple[type, ...]]] = [
-        ("dynamics", problem.dynamics, Dynamics),
-        ("cost", problem.cost, Cost),
-        ("boundary", problem.boundary, Boundary),
-        ("boundary.initial", problem.boundary.initial, EndCondition),
-        ("boundary.final", problem.boundary.final, EndCondition),
-        ("time", problem.time, Time),
-        ("time.final", problem.time.final, (FreeTime, FixedTime)),
-    ]
-    for i, c in enumerate(problem.constraints):
-        parts += [(f"constraints[{i}]", c, Constraint)]
-        parts += [(f"constraints[{i}].cone", c.cone, Cone), (f"constraints[{i}].where", c.where, Where)]
-    for field, part, expected in parts:
-        if not isinstance(part, expected):
-            names = (
-                expected.__name__ if isinstance(expected, type) else " or ".join(c.__name__ for c in expected)
-            )
-            found = f"the class {part.__name__}" if isinstance(part, type) else f"a {type(part).__name__}"
-            raise InvalidProblem(f"{field}: expected an instance of {names}, got {found}.")
 
 
 def array(value: Any, field: str) -> jax.Array:

@@ -37,8 +37,6 @@ def check_shapes(problem: OptimalControlProblem, guess: Trajectory) -> None:
         raise InvalidProblem(PRECISION)
     nodes = problem.time.nodes
     n, m = problem.dynamics.state_size, problem.dynamics.control_size
-    if nodes < 2:
-        raise InvalidProblem(f"time.nodes: a trajectory needs at least 2 nodes, not {nodes}.")
     for name, values, size in (("state", guess.state, n), ("control", guess.control, m)):
         if values.shape != (nodes, size):
             raise InvalidProblem(
@@ -56,10 +54,8 @@ def check_shapes(problem: OptimalControlProblem, guess: Trajectory) -> None:
     for i, c in enumerate((*problem.constraints, *problem.checks)):
         for field in ("tolerance", "soft"):
             value = getattr(c, field)
-            if value is not None and value.shape != ():
-                raise InvalidProblem(
-                    f"constraints[{i}].{field}: expected one number, got shape {value.shape}."
-                )
+            if value is not None and getattr(value, "shape", None) != ():
+                raise InvalidProblem(f"constraints[{i}].{field}: expected one number, got {value}.")
     _check_scale(problem, n, m)
 
 
@@ -94,7 +90,8 @@ def rules(problem: OptimalControlProblem, guess: Trajectory, xp: Any) -> Iterato
     yield from _rules_of_time(problem, xp)
     if problem.scale is not None:
         for name, leaf in named_leaves(problem.scale):
-            yield Rule(xp.all(leaf > 0.0), f"scale.{name}: sizes must be positive.")
+            good = xp.all((leaf > 0.0) & xp.isfinite(leaf))
+            yield Rule(good, f"scale.{name}: sizes must be positive and finite.")
     for c in (*problem.constraints, *problem.checks):
         if c.soft is not None:
             yield Rule(

@@ -11,6 +11,7 @@ from jaxscp.core.types import Scalar
 from jaxscp.problem.boundary import fixed_values
 from jaxscp.problem.bounds import control_bounds
 from jaxscp.problem.errors import InvalidProblem
+from jaxscp.problem.parts import check_parts
 from jaxscp.problem.problem import OptimalControlProblem
 from jaxscp.problem.time import FixedTime
 from jaxscp.problem.trajectory import Trajectory
@@ -39,6 +40,7 @@ def straight_line(problem: OptimalControlProblem, final_time: Scalar | float | N
         >>> jaxscp.straight_line(problem).state.tolist()
         [[0.0, 0.0], [0.5, 0.0], [1.0, 0.0]]
     """
+    check_parts(problem)
     nodes, states = problem.time.nodes, problem.dynamics.state_size
     ends = []
     for where in ("initial", "final"):

@@ -5,6 +5,7 @@ import os
 import equinox as eqx
 
 from jaxscp.problem.check import check_functions
+from jaxscp.problem.parts import check_instance
 from jaxscp.problem.problem import OptimalControlProblem
 from jaxscp.problem.trajectory import Trajectory
 from jaxscp.scp.method import Method
@@ -52,6 +53,7 @@ class Solver(eqx.Module):
             InvalidProblem: if the request contradicts itself; the message names the field. Inside ``jit`` and ``vmap``
                 the status of that element is ``invalid_input``, and its numbers are NaN.
         """
+        check_instance("method", self.method, Method)
         asked = request(problem, guess)
         if check:
             check_functions(asked.asked, asked.start)

@@ -198,7 +198,7 @@ WRONG = {
     "one node": (
         lambda: problem(time=js.Time(1, js.FixedTime(2.0))),
         GUESS,
-        r"time\.nodes: .*at least 2 nodes, not 1",
+        r"time\.nodes: expected a whole number, 2 or more, got 1",
     ),
     # --- what the solver does not do, by name ---
     "several phases": (
@@ -222,6 +222,36 @@ WRONG = {
         r"rail: a soft constraint must be an inequality",
     ),
     # --- other parts ---
+    "a constraint without its comma": (
+        lambda: problem(constraints=js.bounds(control=(-9.0, 9.0))),
+        GUESS,
+        r"constraints: expected a tuple, got a Constraint\. A tuple of one needs a comma",
+    ),
+    "a function for a constraint": (
+        lambda: problem(constraints=(lambda x, u, t, p: x,)),
+        GUESS,
+        r"constraints\[0\]: expected an instance of Constraint, got a function",
+    ),
+    "one number for a pair of limits": (
+        lambda: problem(constraints=(js.bounds(control=1.0),)),
+        GUESS,
+        r"bounds: control takes a pair \(lower, upper\), got 1\.0",
+    ),
+    "a weight for each row": (
+        lambda: constrained(lambda x, u, t, p: x, soft=[1.0, 2.0], convex=True),
+        GUESS,
+        r"\.soft: expected one number",
+    ),
+    "a broken number of nodes": (
+        lambda: problem(time=js.Time(10.0, js.FixedTime(2.0))),
+        GUESS,
+        r"time\.nodes: expected a whole number",
+    ),
+    "an infinite size": (
+        lambda: problem(scale=js.Scale(state=[np.inf, 1.0], control=[1.0], time=1.0)),
+        GUESS,
+        r"scale\.state: sizes must be positive and finite",
+    ),
     "two constraints of one name": (
         lambda: problem(constraints=(js.bounds(control=(-1.0, 1.0)), js.bounds(control=(-2.0, 2.0)))),
         GUESS,
@@ -265,6 +295,12 @@ def test_wrong_request(wrong):
     make, guess, message = WRONG[wrong]
     with pytest.raises(js.InvalidProblem, match=f"(?s){message}"):
         js.solve(make(), guess)
+
+
+@pytest.mark.parametrize("method", [js.NewtonSCP, "NewtonSCP"])
+def test_a_method_that_is_none(method):
+    with pytest.raises(js.InvalidProblem, match="method: expected an instance of Method, got"):
+        js.solve(problem(), GUESS, method)
 
 
 def test_straight_line_needs_ends_that_are_given():
