@@ -31,10 +31,10 @@ def warm_guess(mission: Mission, plan: Trajectory) -> Trajectory:
 
 
 def _correction(
-    state: Float[Array, "13"], wanted: BodyState, fixed: Components | None
+    state: Float[Array, "13"], target_state: BodyState, fixed: Components | None
 ) -> tuple[Float[Array, "13"], Quaternion]:
     """Shift of the state, zero for the attitude, and the rotation in the world that turns it."""
-    target = wanted.vector()
+    target = target_state.vector()
     turn = rotations.multiply(target[6:10], rotations.conjugate(state[6:10]))
     turn = jnp.where(turn[0] < 0.0, -turn, turn)
     shift = (target - state).at[6:10].set(0.0)

@@ -21,8 +21,9 @@ SHORT = {"Dubins", "periodic"}
 EVERY_CASE = pytest.mark.parametrize(
     "name", [name if name in SHORT else pytest.param(name, marks=pytest.mark.slow) for name in CASES]
 )
+LONG = pytest.mark.slow, pytest.mark.nightly
 EVERY_CASE_SLOWLY = pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow) for name in CASES]
+    "name", [pytest.param(name, marks=LONG[: 1 if name in SHORT else 2]) for name in CASES]
 )
 
 
