@@ -82,7 +82,7 @@ def within_tilt(state, control, time, limit: Scalar) -> Float[Array, "3"]:
     return jnp.concatenate([jnp.sin(0.5 * limit)[None], state[7:9]])
 
 
-def within_thrust_rate(first, last, width: float, limit: Scalar) -> Float[Array, "rows"]:
+def within_thrust_rate(first, last, width: Scalar | float, limit: Scalar) -> Float[Array, "rows"]:
     """|du/dt| <= limit, in N/s, as time that the change leaves over: s - |u_{i+1} - u_i| / (limit width).
 
     Thrust and dilation are linear in scaled time, so that the rate is greatest at the end with less dilation.
