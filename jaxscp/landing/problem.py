@@ -47,8 +47,8 @@ from jaxscp.problem.time import FreeTime, Time
 LIMIT_TOLERANCE = 1e-3  # fraction of a limit: violation that counts as none
 # Errors at an end that count as none; a millimetre of position is ``DISTANCE_TOLERANCE``.
 ANGLE_TOLERANCE = 1.75e-3  # rad: 0.1 degree
-SPEED_TOLERANCE = 5e-2  # m/s: the paper mode integrates too coarsely for less
-RATE_TOLERANCE = 0.1  # rad/s: likewise
+SPEED_TOLERANCE = 1e-2  # m/s
+RATE_TOLERANCE = 1e-2  # rad/s
 
 
 def effort(state, control, time, weights: Weights) -> Scalar:

@@ -51,7 +51,7 @@ class Certificate(eqx.Module):
         hard = jnp.where(jnp.isinf(self.allowed), 0.0, self.between_nodes)
         return jnp.max(hard, axis=-1, initial=0.0)
 
-    def error(self, name: str) -> Scalar:
+    def error(self, name: str) -> Float[Array, "*batch"]:
         """Error at an end, by its name: ``certificate.error("final position")``.
 
         Raises:
