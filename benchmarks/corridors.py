@@ -123,6 +123,12 @@ def seeds_outside(result: CorridorResult) -> int:
     return int(np.sum(gaps.min(axis=(1, 2)) < -ROUNDING))
 
 
+def corridor_of(place: synthetic_maps.Map) -> CorridorResult:
+    """The corridor of a map by the default method."""
+    limits = {"lower": place.lower, "upper": place.upper}
+    return build_corridor(place.cloud, place.start, place.goal, RADIUS, clearance=CLEARANCE, **limits)
+
+
 def safety(places: list[synthetic_maps.Map], batch_size: int) -> dict:
     """Figures of corridors by the default method, one for each map, checked against the given cloud.
 
@@ -137,15 +143,7 @@ def safety(places: list[synthetic_maps.Map], batch_size: int) -> dict:
         try:
             with warnings.catch_warnings(record=True) as caught:
                 warnings.simplefilter("always", UserWarning)
-                result = build_corridor(
-                    place.cloud,
-                    place.start,
-                    place.goal,
-                    RADIUS,
-                    clearance=CLEARANCE,
-                    lower=place.lower,
-                    upper=place.upper,
-                )
+                result = corridor_of(place)
             warned += bool(caught)
         except Exception as error:  # a crash counts as a result of this benchmark
             crashed += 1
@@ -231,15 +229,7 @@ def sizes(places: list[synthetic_maps.Map]) -> dict:
     faces: dict[str, list[int]] = {name: [] for name in volumes}
     cut = 0
     for place in places:
-        result = build_corridor(
-            place.cloud,
-            place.start,
-            place.goal,
-            RADIUS,
-            clearance=CLEARANCE,
-            lower=place.lower,
-            upper=place.upper,
-        )
+        result = corridor_of(place)
         if isinstance(result.route, NoRoute):
             continue
         segments = legs(result.route.points, 6.0)

@@ -115,7 +115,7 @@ class CompiledPlanner:
             raise TypeError(
                 "a compiled planner takes arrays; inside jit, vmap and grad, call the Planner itself"
             )
-        one = scenario if self.batch_size is None else _one_element(scenario, self.batch_size)
+        one = scenario if self.batch_size is None else one_element(scenario, self.batch_size)
         one.check(self.nodes)
         differs = difference(self.scenario, spec_of(one.solver_inputs()))
         if differs:
@@ -173,7 +173,7 @@ def _program(function: Callable[..., Any], shapes: tuple) -> tuple[Program, Any]
     return Program(jitted, leaves), jax.tree.unflatten(returned[0], traced.out_info)
 
 
-def _one_element(scenarios: Checked, size: int) -> Checked:
+def one_element(scenarios: Any, size: int) -> Any:
     """Shapes of one element of a stack."""
     for name, leaf in named_leaves(scenarios):
         if leaf.shape[:1] != (size,):

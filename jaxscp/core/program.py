@@ -10,7 +10,7 @@ import hashlib
 import types
 import warnings
 from collections import defaultdict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -42,14 +42,18 @@ class Program:
         """The value."""
         *first, leaves = arguments
         count = len(self.captured)
-        constants = list(self.closed.consts)
-        for position, value in zip(self.captured, leaves[:count], strict=True):
-            constants[position] = value
         flat = [
             jnp.asarray(v, a.dtype)
             for v, a in zip([*first, *leaves[count:]], self.closed.in_avals, strict=True)
         ]
-        return jnp.asarray(eval_jaxpr(self.closed.jaxpr, constants, *flat)[0])
+        return jnp.asarray(self.evaluate(leaves[:count], flat))
+
+    def evaluate(self, captured: Sequence[Any], flat: Sequence[Any]) -> Any:
+        """The value, from the captured constants and the leaves of all arguments."""
+        constants = list(self.closed.consts)
+        for position, value in zip(self.captured, captured, strict=True):
+            constants[position] = value
+        return eval_jaxpr(self.closed.jaxpr, constants, *flat)[0]
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Program) and self.digest == other.digest
@@ -158,48 +162,28 @@ def _returning_floats(function: Callable[..., Any]) -> Callable[..., jax.Array]:
 
 def _digest(program: Program, leaves: list, tracers: tuple) -> str:
     """Hash of the lowered value and its directional derivatives, and of constants that JAX passes beside the text."""
+    count = len(tracers)
+    values = [*(jax.ShapeDtypeStruct(v.shape, v.dtype) for v in tracers), *leaves]
+    moving = [i for i, v in enumerate(values) if jnp.issubdtype(v.dtype, jnp.inexact)]
 
-    def expanded(values, first, second):
-        def flat(*v):
-            captured, arguments = v[: len(tracers)], v[len(tracers) :]
-            return eval_jaxpr(program.closed.jaxpr, _merged(program, captured), *arguments)[0]
+    def derivatives(values, first, second):
+        def moved(*floats):
+            whole = list(values)
+            for i, v in zip(moving, floats, strict=True):
+                whole[i] = v
+            return program.evaluate(whole[:count], whole[count:])
 
-        slope = lambda *v: jax.jvp(flat, v, first)  # noqa: E731
-        return jax.jvp(slope, values, second)
+        slope = lambda *floats: jax.jvp(moved, floats, first)  # noqa: E731
+        return jax.jvp(slope, tuple(values[i] for i in moving), second)
 
-    shape = lambda v: jax.ShapeDtypeStruct(v.shape, v.dtype)  # noqa: E731
-    values = (*map(shape, tracers), *leaves)
-    tangents = tuple(
-        v if jnp.issubdtype(v.dtype, jnp.inexact) else jax.ShapeDtypeStruct(v.shape, jax.dtypes.float0)
-        for v in values
-    )
-    digest = hashlib.sha256(_text(expanded, values, tangents).encode())
+    directions = tuple(values[i] for i in moving)
+    text = jax.jit(derivatives).lower(values, directions, directions).as_text()
+    digest = hashlib.sha256(text.encode())
     for constant in program.closed.consts:
         if not isinstance(constant, Tracer):
             digest.update(np.asarray(constant).tobytes())
     digest.update(repr(program.captured).encode())
     return digest.hexdigest()
-
-
-def _text(expanded: Callable, values: tuple, tangents: tuple) -> str:
-    floating = [i for i, v in enumerate(tangents) if v.dtype != jax.dtypes.float0]
-
-    def with_zeros(directions):
-        whole = [np.zeros(v.shape, v.dtype) for v in tangents]
-        for i, d in zip(floating, directions, strict=True):
-            whole[i] = d
-        return tuple(whole)
-
-    directions = tuple(tangents[i] for i in floating)
-    jitted = jax.jit(lambda v, a, b: expanded(v, with_zeros(a), with_zeros(b)))
-    return jitted.lower(values, directions, directions).as_text()
-
-
-def _merged(program: Program, captured: tuple) -> list:
-    constants = list(program.closed.consts)
-    for position, value in zip(program.captured, captured, strict=True):
-        constants[position] = value
-    return constants
 
 
 def _snapshot(function: Any, alive: list) -> Hashable:

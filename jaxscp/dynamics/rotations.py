@@ -1,5 +1,6 @@
 """Unit quaternions (w, x, y, z) that rotate body vectors into the world."""
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -78,3 +79,15 @@ def from_yaw(yaw: Scalar | float) -> Quaternion:
     half = 0.5 * xp.asarray(yaw, float)
     zero = xp.zeros_like(half)
     return jnp.asarray(xp.stack([xp.cos(half), zero, zero, xp.sin(half)]))
+
+
+def normalised(q: Quaternion) -> Quaternion:
+    """The quaternion at unit length."""
+    return q / jnp.maximum(jnp.linalg.norm(q), 1e-9)
+
+
+def blend(start: Quaternion, goal: Quaternion, count: int) -> Float[Array, "count 4"]:
+    """Normalised linear interpolation along the shorter arc, from start to goal."""
+    goal = jnp.where(jnp.dot(start, goal) < 0, -goal, goal)
+    fraction = jnp.linspace(0.0, 1.0, count)[:, None]
+    return jax.vmap(normalised)((1.0 - fraction) * start + fraction * goal)

@@ -81,7 +81,7 @@ def _states_and_controls(
     nodes, airframe = position.shape[0], scenario.airframe
     start, goal = scenario.start, scenario.goal
     inner = (jnp.arange(nodes) % (nodes - 1) > 0)[:, None]
-    blended = _blend_attitudes(start.attitude, goal.attitude, nodes)
+    blended = rotations.blend(start.attitude, goal.attitude, nodes)
     attitude = jnp.where(inner, flatness.attitudes(airframe.body, acceleration, blended), blended)
     rates = jnp.linspace(start.body_rate, goal.body_rate, nodes)
     rates = jnp.where(inner, flatness.body_rates(attitude, interval), rates)
@@ -213,11 +213,3 @@ def _triple_integrator_links(scenario: Mission, units: Units, nodes: int) -> Cou
 
 def _pad_columns(matrix: Float[Array, "*b columns"], columns: int) -> Float[Array, "*b padded"]:
     return jnp.pad(matrix, [(0, 0)] * (matrix.ndim - 1) + [(0, columns - matrix.shape[-1])])
-
-
-def _blend_attitudes(start, goal, nodes: int) -> Float[Array, "nodes 4"]:
-    """Normalised linear interpolation along the shorter arc."""
-    goal = jnp.where(jnp.dot(start, goal) < 0, -goal, goal)
-    fraction = jnp.linspace(0.0, 1.0, nodes)[:, None]
-    blend = (1.0 - fraction) * start + fraction * goal
-    return jax.vmap(lambda q: q / jnp.maximum(jnp.linalg.norm(q), 1e-9))(blend)

@@ -22,11 +22,12 @@ def warm_guess(mission: Mission, plan: Trajectory) -> Trajectory:
         _correction(plan.state[-1], goal, mission.goal_fixed),
     ]
     (first, first_turn), (last, last_turn) = ends
-    last_turn = jnp.where(jnp.dot(first_turn, last_turn) < 0.0, -last_turn, last_turn)
-    fraction = jnp.linspace(0.0, 1.0, plan.time.shape[0])[:, None]
+    fraction = jnp.linspace(0.0, 1.0, plan.nodes)[:, None]
     state = plan.state + (1.0 - fraction) * first + fraction * last
-    turns = (1.0 - fraction) * first_turn + fraction * last_turn
-    attitude = jax.vmap(_turned)(turns, plan.state[:, 6:10])
+    turns = rotations.blend(first_turn, last_turn, plan.nodes)
+    attitude = jax.vmap(lambda turn, q: rotations.normalised(rotations.multiply(turn, q)))(
+        turns, plan.state[:, 6:10]
+    )
     return Trajectory(plan.time, state.at[:, 6:10].set(attitude), plan.control, plan.dilation)
 
 
@@ -43,8 +44,3 @@ def _correction(
     mask = fixed.vector()
     shift = shift.at[:6].multiply(mask[:6]).at[10:].multiply(mask[9:])
     return shift, jnp.where(jnp.all(mask[6:9] > 0.0), turn, jnp.eye(4, dtype=turn.dtype)[0])
-
-
-def _turned(turn: Quaternion, attitude: Quaternion) -> Quaternion:
-    found = rotations.multiply(turn / jnp.maximum(jnp.linalg.norm(turn), 1e-9), attitude)
-    return found / jnp.maximum(jnp.linalg.norm(found), 1e-9)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxscp.core.arrays import namespace
+from jaxscp.core.arrays import floats
 from jaxscp.core.types import Scalar
 from jaxscp.problem.errors import InvalidProblem
 
@@ -110,7 +110,7 @@ class _Components(eqx.Module):
 
 
 class _SameComponents(eqx.Module):
-    """The chosen components of the last state, less those of the first."""
+    """Change of the chosen components from the first state to the last."""
 
     chosen: tuple[int, ...] | None = eqx.field(static=True)
 
@@ -140,12 +140,10 @@ def fixed_state(
         ['x', 'y']
     """
     chosen = tuple(i for i, v in enumerate(values) if v is not None)
-    fixed = [values[i] for i in chosen]
-    value = namespace(fixed).stack([namespace(v).asarray(v, float) for v in fixed]) if fixed else np.zeros(0)
     rows = tuple(
         EndRows(names[i] if names else f"x[{i}]", units[i] if units else "", 1, tolerance) for i in chosen
     )
-    return EndCondition(_Components(chosen, len(values)), jnp.asarray(value), rows)
+    return EndCondition(_Components(chosen, len(values)), floats([values[i] for i in chosen]), rows)
 
 
 def periodic(components: Sequence[int] | None = None, name: str = "period", unit: str = "") -> CoupledEnds:

@@ -10,7 +10,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from jaxscp.cones.cone import NonNegative
-from jaxscp.core.arrays import floats, namespace
+from jaxscp.core.arrays import floats
 from jaxscp.problem.constraint import AtNodes, Constraint, Throughout
 from jaxscp.problem.errors import InvalidProblem
 
@@ -105,8 +105,7 @@ def _limited(limit: Any) -> tuple[tuple[int, ...] | None, Array | None]:
     chosen = tuple(i for i, v in enumerate(limit) if v is not None and not _infinite(v))
     if not chosen:
         return None, None
-    values = [limit[i] for i in chosen]
-    return chosen, jnp.asarray(namespace(values).stack([namespace(v).asarray(v, float) for v in values]))
+    return chosen, floats([limit[i] for i in chosen])
 
 
 def _infinite(value: Any) -> bool:

@@ -1,4 +1,4 @@
-"""A problem in which every function is a program, known by what it computes, and every parameter a tuple of arrays.
+"""A problem with programs for functions, and tuples of arrays for parameters.
 
 Two problems with equal functions then have one tree structure, whatever objects the functions are, so that they share
 compiled code. Functions of this package stay as they are: their names determine them.
@@ -38,15 +38,16 @@ def canonical(problem: OptimalControlProblem) -> OptimalControlProblem:
     """
     check_parts(problem)
     n, m = problem.dynamics.state_size, problem.dynamics.control_size
-    x, u = jax.ShapeDtypeStruct((n,), float), jax.ShapeDtypeStruct((m,), float)
-    constraints = [
-        _constraint(c, i, x, u, problem.time.nodes, "constraints") for i, c in enumerate(problem.constraints)
+    x, u, nodes = jax.ShapeDtypeStruct((n,), float), jax.ShapeDtypeStruct((m,), float), problem.time.nodes
+    found = [
+        _constraint(_named(c, number), field, x, u, nodes)
+        for number, (field, c) in enumerate(problem.named_constraints(), start=1)
     ]
-    checks = [_constraint(c, i, x, u, problem.time.nodes, "checks") for i, c in enumerate(problem.checks)]
-    _unique_names([*constraints, *checks])
+    _unique_names(found)
+    constraints, checks = found[: len(problem.constraints)], found[len(problem.constraints) :]
     return OptimalControlProblem(
         dynamics=_dynamics(problem.dynamics, x, u),
-        cost=_cost(problem.cost, x, u, problem.time.nodes),
+        cost=_cost(problem.cost, x, u, nodes),
         boundary=_boundary(problem.boundary, x),
         time=_with_arrays(problem.time, "time"),
         constraints=tuple(constraints),
@@ -56,8 +57,8 @@ def canonical(problem: OptimalControlProblem) -> OptimalControlProblem:
     )
 
 
-def array(value: Any, field: str) -> jax.Array:
-    """A number or an array, without a weak type."""
+def as_array(value: Any, field: str) -> jax.Array:
+    """A number or an array, in double precision and without a weak type."""
     if not isinstance(value, jax.Array):
         if not isinstance(value, bool | int | float | np.ndarray | np.generic):
             raise InvalidProblem(
@@ -72,15 +73,20 @@ def array(value: Any, field: str) -> jax.Array:
         raise InvalidProblem(
             f"{field}: expected float64, got {value.dtype}. Was the array made before jax_enable_x64 was set?"
         )
-    if not isinstance(value, Tracer) and np.isnan(np.asarray(value)).any():
-        raise InvalidProblem(f"{field}: holds a value that is not a number (NaN).")
     return value
 
 
 def _with_arrays(tree: Any, field: str) -> Any:
-    """The pytree with arrays for numbers."""
-    named = lambda path, leaf: array(leaf, f"{field}{jax.tree_util.keystr(path)}")  # noqa: E731
-    return jax.tree_util.tree_map_with_path(named, tree)
+    """The pytree with arrays for numbers; known ones are checked."""
+
+    def one(path, leaf):
+        name = f"{field}{jax.tree_util.keystr(path)}"
+        value = as_array(leaf, name)
+        if not isinstance(value, Tracer) and np.isnan(np.asarray(value)).any():
+            raise InvalidProblem(f"{name}: holds a value that is not a number (NaN).")
+        return value
+
+    return jax.tree_util.tree_map_with_path(one, tree)
 
 
 def _program(
@@ -99,38 +105,48 @@ def _program(
         ) from error
 
 
-def _expect(program: Program, field: str, shape: tuple[int, ...], words: str) -> None:
-    if program.shape != shape:
-        raise InvalidProblem(
-            f"{field}: returns shape {program.shape}, expected {shape}: {words}."
-            + _hint(program.shape, shape)
-        )
+def _identified(part: Any, field: str, arguments: tuple, example: Any, nodes: int | None = None) -> Any:
+    """A part with a program for its function, and the shape of its values.
+
+    Args:
+        part: has the fields ``function`` and ``parameters``.
+        field: its name.
+        arguments: shapes of the function's arguments but the last.
+        example: the last: parameters of one point.
+        nodes: number of nodes if its parameters have them as leading axis.
+    """
+    if of_this_package(part.function):
+        return part, _shape(part.function, field, arguments, example)
+    program, captured = _program(part.function, field, arguments, example)
+    captured = captured if nodes is None else _over_nodes(captured, nodes)
+    leaves = (*captured, *jax.tree.leaves(part.parameters))
+    return dataclasses.replace(part, function=program, parameters=leaves), program.shape
 
 
-def _hint(found: tuple[int, ...], expected: tuple[int, ...]) -> str:
-    if found == (1,) and expected == ():
-        return " Take the entry: value[0]."
-    return ""
+def _expect(found: tuple[int, ...], field: str, shape: tuple[int, ...], words: str) -> None:
+    if found != shape:
+        hint = " Take the entry: value[0]." if found == (1,) and shape == () else ""
+        raise InvalidProblem(f"{field}: returns shape {found}, expected {shape}: {words}.{hint}")
 
 
 def _dynamics(dynamics: Dynamics, x: Any, u: Any) -> Dynamics:
     dynamics = _with_arrays(dynamics, "dynamics")
     if wholly_of_this_package(dynamics):
         return dynamics
+    arguments, words = (x, u, _NUMBER), "the derivative of each state"
     if isinstance(dynamics, FunctionDynamics):
-        parameters = dynamics.parameters
-        program, captured = _program(dynamics.function, "dynamics", (x, u, _NUMBER), parameters)
-    else:
-        parameters, tree = jax.tree.flatten(dynamics)
+        part, shape = _identified(dynamics, "dynamics", arguments, dynamics.parameters)
+        _expect(shape, "dynamics", x.shape, words)
+        return FunctionDynamics(part.function, x.shape[0], u.shape[0], part.parameters)
+    parameters, tree = jax.tree.flatten(dynamics)
 
-        def function(x, u, t, leaves):
-            return jax.tree.unflatten(tree, leaves)(x, u, t)
+    def function(x, u, t, leaves):
+        return jax.tree.unflatten(tree, leaves)(x, u, t)
 
-        key = type(dynamics), tree
-        program, captured = _program(function, "dynamics", (x, u, _NUMBER), tuple(parameters), key)
-    _expect(program, "dynamics", x.shape, "the derivative of each state")
-    leaves = (*captured, *jax.tree.leaves(parameters))
-    return FunctionDynamics(program, x.shape[0], u.shape[0], leaves)
+    key = type(dynamics), tree
+    program, captured = _program(function, "dynamics", arguments, tuple(parameters), key)
+    _expect(program.shape, "dynamics", x.shape, words)
+    return FunctionDynamics(program, x.shape[0], u.shape[0], (*captured, *parameters))
 
 
 def _cost(cost: Cost, x: Any, u: Any, nodes: int) -> Cost:
@@ -141,7 +157,7 @@ def _cost(cost: Cost, x: Any, u: Any, nodes: int) -> Cost:
     running = _program(cost.running, "cost.running", (x, u, _NUMBER), example)
     terminal = _program(cost.terminal, "cost.terminal", (x, _NUMBER), example)
     for (program, _), field in ((running, "cost.running"), (terminal, "cost.terminal")):
-        _expect(program, field, (), "a cost is one number")
+        _expect(program.shape, field, (), "a cost is one number")
     leaves = tuple(jax.tree.leaves(cost.parameters))
     captured = [_over_nodes(c, nodes) if cost.per_node else c for _, c in (running, terminal)]
     if not any(captured):
@@ -179,10 +195,13 @@ def _at_node(parameters: Any, nodes: int, field: str) -> Any:
     return jax.tree_util.tree_map_with_path(one, parameters)
 
 
-def _constraint(c: Constraint, index: int, x: Any, u: Any, nodes: int, where: str) -> Constraint:
-    name = c.name or name_of(c.function) or f"constraint {index + 1}"
-    field = f"{where}[{index}] ({name})"
-    c = dataclasses.replace(_with_arrays(c, field), name=name)
+def _named(c: Constraint, number: int) -> Constraint:
+    return dataclasses.replace(c, name=c.name or name_of(c.function) or f"constraint {number}")
+
+
+def _constraint(c: Constraint, place: str, x: Any, u: Any, nodes: int) -> Constraint:
+    field = f"{place} ({c.name})"
+    c = _with_arrays(c, field)
     if c.active is not None and c.active.shape != (nodes,):
         raise InvalidProblem(
             f"{field}.active: expected shape ({nodes},), one for each node, got {c.active.shape}."
@@ -190,13 +209,7 @@ def _constraint(c: Constraint, index: int, x: Any, u: Any, nodes: int, where: st
     example = _at_node(c.parameters, nodes, f"{field}.parameters") if c.per_node else c.parameters
     across = jax.ShapeDtypeStruct((u.shape[0] + 1,), float)
     arguments = (across, across, _NUMBER) if c.where.across else (x, u, _NUMBER)
-    if of_this_package(c.function):
-        shape = _shape(c.function, field, arguments, example)
-    else:
-        program, captured = _program(c.function, field, arguments, example)
-        shape, leaves = program.shape, tuple(jax.tree.leaves(c.parameters))
-        captured = _over_nodes(captured, nodes) if c.per_node else captured
-        c = dataclasses.replace(c, function=program, parameters=(*captured, *leaves))
+    c, shape = _identified(c, field, arguments, example, nodes if c.per_node else None)
     if len(shape) != 1 or shape[0] < c.cone.least_rows:
         rows = (
             "one axis of values"
@@ -243,12 +256,7 @@ def _boundary(boundary: Boundary, x: Any) -> Boundary:
 def _ends(condition: Any, field: str, arguments: tuple) -> Any:
     condition = _with_arrays(condition, field)
     name = name_of(condition.function) or field.rpartition(".")[2]
-    if of_this_package(condition.function):
-        shape = _shape(condition.function, field, arguments, condition.parameters)
-    else:
-        program, captured = _program(condition.function, field, arguments, condition.parameters)
-        shape, leaves = program.shape, (*captured, *jax.tree.leaves(condition.parameters))
-        condition = dataclasses.replace(condition, function=program, parameters=leaves)
+    condition, shape = _identified(condition, field, arguments, condition.parameters)
     if len(shape) != 1:
         raise InvalidProblem(f"{field}: returns shape {shape}, expected one axis of rows.")
     rows = condition.rows or ((EndRows(name, count=shape[0]),) if shape[0] else ())

@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxscp.core.arrays import PRECISION, double_precision
@@ -18,9 +17,8 @@ from jaxscp.problem.time import FreeTime
 from jaxscp.problem.trajectory import Trajectory
 
 STEP = 1e-6  # of differences, relative to the argument's size
-DIFFERENCE = (
-    1e-4  # relative error of a derivative that counts as none: far above STEP squared and rounding over STEP
-)
+# relative error of a derivative that counts as none: far above STEP squared and rounding over STEP
+DIFFERENCE = 1e-4
 LIMIT = 1e-3  # violation of a limit by a fixed end that counts as none
 
 
@@ -51,11 +49,11 @@ def check_shapes(problem: OptimalControlProblem, guess: Trajectory) -> None:
     for name, leaf in named_leaves(problem.time):
         if leaf.shape != ():
             raise InvalidProblem(f"time.{name}: expected one number, got shape {leaf.shape}.")
-    for i, c in enumerate((*problem.constraints, *problem.checks)):
+    for name, c in problem.named_constraints():
         for field in ("tolerance", "soft"):
             value = getattr(c, field)
             if value is not None and getattr(value, "shape", None) != ():
-                raise InvalidProblem(f"constraints[{i}].{field}: expected one number, got {value}.")
+                raise InvalidProblem(f"{name}.{field}: expected one number, got {value}.")
     _check_scale(problem, n, m)
 
 
@@ -92,7 +90,7 @@ def rules(problem: OptimalControlProblem, guess: Trajectory, xp: Any) -> Iterato
         for name, leaf in named_leaves(problem.scale):
             good = xp.all((leaf > 0.0) & xp.isfinite(leaf))
             yield Rule(good, f"scale.{name}: sizes must be positive and finite.")
-    for c in (*problem.constraints, *problem.checks):
+    for _, c in problem.named_constraints():
         if c.soft is not None:
             yield Rule(
                 c.soft >= 0.0, f"{c.name}: soft, the weight, must not be negative, is{_value(xp, c.soft)}."
@@ -172,40 +170,22 @@ def check_functions(problem: OptimalControlProblem, guess: Trajectory) -> None:
         problem: of ``canonical``.
         guess: on its nodes.
     """
-    state, control, time = guess.state, guess.control, guess.time
-    count = time.shape[0]
-    cost = problem.cost
-    per_node = cost.parameters if cost.per_node else ()
-    own = lambda p: p if cost.per_node else cost.parameters  # noqa: E731
-    rows: list[tuple[str, Callable[..., Any], Any]] = [
-        ("dynamics", lambda v, p: problem.dynamics(*v), ()),
-        ("cost.running", lambda v, p: cost.running(*v, own(p)), per_node),
+    cost, boundary = problem.cost, problem.boundary
+    points = guess.state, guess.control, guess.time
+    first, last = ((guess.state[i][None], guess.time[i][None]) for i in (0, -1))
+    of_last = jax.tree.map(lambda v: v[-1][None], cost.node_parameters())
+    rows: list[tuple[str, Callable[..., Any], tuple, Any]] = [
+        ("dynamics", lambda x, u, t, _: problem.dynamics(x, u, t), points, ()),
+        ("cost.running", cost.running_at, points, cost.node_parameters()),
+        ("boundary.initial", lambda x, t, _: boundary.initial.value(x, t), first, ()),
+        ("boundary.final", lambda x, t, _: boundary.final.value(x, t), last, ()),
+        ("cost.terminal", cost.terminal_at, last, of_last),
     ]
-    for i, c in enumerate((*problem.constraints, *problem.checks)):
+    for field, c in problem.named_constraints():
         if not c.where.across:
-            rows.append(
-                (
-                    f"constraints[{i}] ({c.name})",
-                    lambda v, p, c=c: c.value(v[0], v[1], v[2], p),
-                    c.node_parameters(),
-                )
-            )
-    for name, function, parameters in rows:
-        _check_function(name, function, (state, control, time), parameters)
-    one = lambda v, i: jax.tree.map(lambda a: a[i][None], v)  # noqa: E731
-    last = one((state, time), -1)
-    _check_function(
-        "boundary.initial", lambda v, p: problem.boundary.initial.value(*v), one((state, time), 0), ()
-    )
-    _check_function("boundary.final", lambda v, p: problem.boundary.final.value(*v), last, ())
-    _check_function(
-        "cost.terminal", lambda v, p: cost.terminal(*v, p), last, _last(own(per_node), cost, count)
-    )
-
-
-def _last(parameters: Any, cost: Any, count: int) -> Any:
-    pick = (lambda v: v[-1][None]) if cost.per_node else (lambda v: jnp.asarray(v)[None])
-    return jax.tree.map(pick, parameters)
+            rows.append((f"{field} ({c.name})", c.value, points, c.node_parameters()))
+    for row in rows:
+        _check_function(*row)
 
 
 def _check_function(name: str, function: Callable[..., Any], points: tuple, parameters: Any) -> None:
@@ -213,8 +193,8 @@ def _check_function(name: str, function: Callable[..., Any], points: tuple, para
     direction = jax.tree.map(lambda v: random.standard_normal(v.shape) * (1.0 + np.abs(v)), points)
 
     def one(v, d, p):
-        value, slope = jax.jvp(lambda v: function(v, p), (v,), (d,))
-        moved = lambda step: function(jax.tree.map(lambda a, b: a + step * b, v, d), p)  # noqa: E731
+        value, slope = jax.jvp(lambda *v: function(*v, p), v, d)
+        moved = lambda step: function(*(a + step * b for a, b in zip(v, d, strict=True)), p)  # noqa: E731
         return value, slope, (moved(STEP) - moved(-STEP)) / (2.0 * STEP)
 
     value, slope, difference = jax.jit(jax.vmap(one))(points, direction, parameters)

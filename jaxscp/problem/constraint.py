@@ -30,21 +30,6 @@ class Where(eqx.Module):
         """Whether the constraint holds at every point of an interval."""
         return not (self.nodal or self.across)
 
-    def end_value(
-        self, function: Callable[..., Array], at: tuple, first: Array, last: Array, parameters: Any
-    ):
-        """Values of an interval, for a constraint that does not hold throughout.
-
-        Args:
-            function: of the constraint.
-            at: (state, time, width): at the first node, and the interval's width in scaled time.
-            first: controls with the dilation, at the first node.
-            last: the same at the last node.
-            parameters: of the first node.
-        """
-        state, time, _ = at
-        return function(state, first[:-1], time, parameters)
-
 
 class Throughout(Where):
     """In the intervals of its active nodes: at the nodes and, by methods that can, between them."""
@@ -68,13 +53,6 @@ class AcrossIntervals(Where):
     """
 
     across: ClassVar[bool] = True
-
-    def end_value(
-        self, function: Callable[..., Array], at: tuple, first: Array, last: Array, parameters: Any
-    ):
-        """Values of an interval."""
-        *_, width = at
-        return function(first, last, width, parameters)
 
 
 class Constraint(eqx.Module):

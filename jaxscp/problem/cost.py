@@ -39,3 +39,18 @@ class Cost(eqx.Module):
     terminal: Callable[..., Any] = eqx.field(static=True, default=no_terminal_cost)
     parameters: Any = ()
     per_node: bool = eqx.field(static=True, default=False)
+
+    def node_parameters(self) -> Any:
+        """Those that differ from node to node; ``running_at`` and ``terminal_at`` know the others."""
+        return self.parameters if self.per_node else ()
+
+    def running_at(self, state, control, time, node_parameters: Any) -> Scalar:
+        """Cost per second at a point."""
+        return self.running(state, control, time, self._parameters(node_parameters))
+
+    def terminal_at(self, state, time, node_parameters: Any) -> Scalar:
+        """Terminal cost, from the parameters of the last node."""
+        return self.terminal(state, time, self._parameters(node_parameters))
+
+    def _parameters(self, node_parameters: Any) -> Any:
+        return node_parameters if self.per_node else self.parameters

@@ -55,7 +55,7 @@ def straight_line(problem: OptimalControlProblem, final_time: Scalar | float | N
         ends.append(values)
     pairs = [_both(first, last) for first, last in zip(*ends, strict=True)]
     xp = namespace(pairs)
-    first, last = (xp.stack([xp.asarray(v, float) for v in end]) for end in zip(*pairs, strict=True))
+    first, last = (xp.asarray(end, float) for end in zip(*pairs, strict=True))
     fraction = np.linspace(0.0, 1.0, nodes)[:, None]
     state = (1.0 - fraction) * first + fraction * last
     duration = _duration(problem) if final_time is None else final_time

@@ -16,7 +16,7 @@ from jaxscp.problem.errors import InvalidProblem
 from jaxscp.problem.form import Form
 from jaxscp.problem.problem import OptimalControlProblem
 from jaxscp.problem.scaled_time import PathConstraint, ScaledTimeProblem
-from jaxscp.problem.sizes import Sizes, measured_sizes, size_of_constraint
+from jaxscp.problem.sizes import measured_sizes, size_of_constraint
 from jaxscp.problem.time import FixedTime, FreeTime
 from jaxscp.problem.trajectory import Trajectory
 
@@ -46,8 +46,8 @@ def over_scaled_time(
         cost=problem.cost,
         boundary=problem.boundary,
         constraints=_path_constraints(problem, constraints, guess),
-        dilation_min=least if sizes is None else least / unit,
-        dilation_max=most if sizes is None else most / unit,
+        dilation_min=least / unit,
+        dilation_max=most / unit,
         checks=_path_constraints(problem, list(problem.checks), guess),
         sizes=sizes,
         nodes=problem.time.nodes,
@@ -55,17 +55,16 @@ def over_scaled_time(
         carries_time=form.carries_time or len(constraints) > len(problem.constraints) or reads_time(problem),
         zero_order_hold=problem.zero_order_hold,
         curved_end=_reads_any(_terminal_gradient(problem)),
-        mesh_weight=_mesh_weight(problem, guess, sizes),
+        mesh_weight=_mesh_weight(problem, guess, unit),
     )
 
 
 def _mesh_weight(
-    problem: OptimalControlProblem, guess: Trajectory | None, sizes: Sizes | None
+    problem: OptimalControlProblem, guess: Trajectory | None, unit: Scalar | float
 ) -> Scalar | None:
-    """Weight of the mesh for dilations in the solver's units: relative to the duration of the guess."""
+    """Weight of the mesh, for dilations in the solver's unit of time: relative to the duration of the guess."""
     if isinstance(problem.time.final, FixedTime) or problem.time.mesh_weight is None or guess is None:
         return None
-    unit = 1.0 if sizes is None else sizes.time
     return problem.time.mesh_weight * (unit / jax.lax.stop_gradient(guess.time[-1])) ** 2
 
 
@@ -79,10 +78,10 @@ def reads_time(problem: OptimalControlProblem) -> bool:
     Terminal cost otherwise takes the final time from the dilation.
     """
     x, u = jnp.zeros(problem.dynamics.state_size), jnp.zeros(problem.dynamics.control_size)
-    cost = _cost_parameters(problem)
+    node = _of_one_node(problem.cost.node_parameters())
     functions: list[Reading] = [
         (problem.dynamics, 2, (x, u, 0.0)),
-        (lambda x, u, t: problem.cost.running(x, u, t, cost), 2, (x, u, 0.0)),
+        (lambda x, u, t: problem.cost.running_at(x, u, t, node), 2, (x, u, 0.0)),
         (problem.boundary.final.value, 1, (x, 0.0)),
     ]
     functions += _terminal_gradient(problem)[:2]
@@ -101,16 +100,11 @@ def _reads_any(functions: list[Reading]) -> bool:
 
 def _terminal_gradient(problem: OptimalControlProblem) -> list[Reading]:
     """Gradient of the terminal cost in time, by time and state; then in the state, by the state."""
-    x, cost = jnp.zeros(problem.dynamics.state_size), _cost_parameters(problem)
-    in_time = jax.grad(lambda t, x: problem.cost.terminal(x, t, cost))
-    in_state = jax.grad(lambda x, t: problem.cost.terminal(x, t, cost))
+    cost, x = problem.cost, jnp.zeros(problem.dynamics.state_size)
+    node = _of_one_node(cost.node_parameters())
+    in_time = jax.grad(lambda t, x: cost.terminal_at(x, t, node))
+    in_state = jax.grad(lambda x, t: cost.terminal_at(x, t, node))
     return [(in_time, 0, (0.0, x)), (in_time, 1, (0.0, x)), (in_state, 0, (x, 0.0))]
-
-
-def _cost_parameters(problem: OptimalControlProblem) -> Any:
-    """Of one node."""
-    parameters = problem.cost.parameters
-    return _of_one_node(parameters) if problem.cost.per_node else parameters
 
 
 def _of_one_node(parameters: Any) -> Any:

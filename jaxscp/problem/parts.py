@@ -35,10 +35,10 @@ def check_parts(problem: OptimalControlProblem) -> None:
             raise InvalidProblem(
                 f"{field}: expected a tuple, got a {type(value).__name__}. A tuple of one needs a comma: (one,)."
             )
-    for i, c in enumerate((*problem.constraints, *problem.checks)):
-        check_instance(f"constraints[{i}]", c, Constraint)
-        check_instance(f"constraints[{i}].cone", c.cone, Cone)
-        check_instance(f"constraints[{i}].where", c.where, Where)
+    for field, c in problem.named_constraints():
+        check_instance(field, c, Constraint)
+        check_instance(f"{field}.cone", c.cone, Cone)
+        check_instance(f"{field}.where", c.where, Where)
 
 
 def check_instance(field: str, part: Any, expected: type | tuple[type, ...]) -> None:

@@ -6,6 +6,7 @@
 ``scaled_time`` has the form that is solved.
 """
 
+from collections.abc import Iterator
 from typing import Any
 
 import equinox as eqx
@@ -56,6 +57,12 @@ class OptimalControlProblem(eqx.Module):
     checks: tuple[Constraint, ...] = ()
     zero_order_hold: tuple[int, ...] = eqx.field(default=(), static=True)
 
+    def named_constraints(self) -> Iterator[tuple[str, Constraint]]:
+        """Constraints and checks with the names of their fields: ``constraints[0]``, say."""
+        for field in ("constraints", "checks"):
+            for number, constraint in enumerate(getattr(self, field)):
+                yield f"{field}[{number}]", constraint
+
     def arrays(self) -> dict[str, Any]:
-        """All numbers by their names: what a solver from a file takes in place of the problem."""
+        """All numbers by their names; a solver from a file takes them in place of the problem."""
         return dict(named_leaves(self))

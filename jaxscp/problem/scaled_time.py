@@ -4,8 +4,8 @@ Scaled time tau runs from 0 to 1; the dilation s = dt/dtau is one more control, 
 and the mesh adapts. A node's variables are z = (x, u, s), in units of the problem's scale. More variables join them
 where the problem needs them:
 
-- after x: a copy of the first state, which does not change (for conditions that couple both ends), the running cost so
-  far, phi, and the time, t;
+- after x: a copy of the first state, which does not change, for conditions that couple both ends;
+- then the running cost so far, phi, and the time, t;
 - after u: a slack for each soft constraint.
 
 Functions of the user see x, u and t alone, in the user's units: the methods here translate.
@@ -39,13 +39,16 @@ class PathConstraint(Constraint):
     slack: int | None = eqx.field(default=None, static=True)
     """Number of its slack, if it is soft."""
 
+    def in_solver_units(self, value: Float[Array, "rows"]) -> Array:
+        """Values divided by their typical size."""
+        return value if self.size is None else value / self.size
+
     def solver_value(self, value: Float[Array, "rows"], slacks: Float[Array, "slacks"]) -> Array:
         """Values in the solver's units, with the slack added where the constraint is soft."""
-        if self.size is not None:
-            value = value / self.size
-        return (
-            value if self.slack is None else value + slacks[self.slack] * self.cone.identity(value.shape[-1])
-        )
+        value = self.in_solver_units(value)
+        if self.slack is None:
+            return value
+        return value + slacks[self.slack] * self.cone.identity(value.shape[-1])
 
 
 class ScaledTimeProblem(eqx.Module):
@@ -82,7 +85,7 @@ class ScaledTimeProblem(eqx.Module):
 
     @property
     def state_size(self) -> int:
-        """All states: those of the dynamics, their copy, running cost and time."""
+        """All states: of the dynamics and their copy, running cost, and time."""
         return self.dynamic_states + self.carries_cost + self.carries_time
 
     @property
@@ -132,35 +135,34 @@ class ScaledTimeProblem(eqx.Module):
             for c in self.constraints
             if c.slack is not None
         ]
+        whole = jnp.concatenate([states, *carried, controls, *slacks, dilation[:, None]], axis=1)
         if self.sizes is None:
-            return jnp.concatenate([states, *carried, controls, *slacks, dilation[:, None]], axis=1)
+            return whole
         one, sizes = jnp.ones((), states.dtype), self.sizes
         unit = [sizes.state] * (1 + (self.boundary.coupled is not None))
         unit += [sizes.cost[None]] * self.carries_cost + [sizes.time[None]] * self.carries_time
         unit += [sizes.control] + [one[None]] * len(slacks) + [sizes.time[None]]
-        whole = jnp.concatenate([states, *carried, controls, *slacks, dilation[:, None]], axis=1)
         return whole / jnp.concatenate(unit)
 
     def _violation(self, c: PathConstraint, states, controls, times) -> Nodes:
         """Violation of a constraint at the nodes, in the solver's units."""
-        value = c.with_parameters(c.function)
-        found = jax.vmap(value)(states, controls, times, c.node_parameters())
-        found = found if c.size is None else found / c.size
-        return jax.vmap(lambda v: jnp.maximum(c.cone.violation(v), 0.0))(found)
+
+        def one(*point):
+            return jnp.maximum(c.cone.violation(c.in_solver_units(c.value(*point))), 0.0)
+
+        return jax.vmap(one)(states, controls, times, c.node_parameters())
 
     # --- dynamics and cost ---
 
     def node_data(self) -> Float[Array, "nodes data"]:
         """Parameters of the running cost that differ from node to node, a row for each node."""
-        leaves = jax.tree.leaves(self.cost.parameters) if self.cost.per_node else []
+        leaves = jax.tree.leaves(self.cost.node_parameters())
         none = jnp.zeros((self.nodes, 0))
         return jnp.concatenate([none, *(leaf.reshape(self.nodes, -1) for leaf in leaves)], axis=1)
 
-    def _cost_parameters(self, data: Float[Array, "data"]):
-        """Parameters of the running cost at a point, from ``node_data`` there."""
-        if not self.cost.per_node:
-            return self.cost.parameters
-        leaves, tree = jax.tree.flatten(self.cost.parameters)
+    def _of_node(self, data: Float[Array, "data"]):
+        """The cost's ``node_parameters`` at a point, from ``node_data`` there."""
+        leaves, tree = jax.tree.flatten(self.cost.node_parameters())
         ends = [0]
         for leaf in leaves:
             ends.append(ends[-1] + math.prod(leaf.shape[1:]))
@@ -169,7 +171,7 @@ class ScaledTimeProblem(eqx.Module):
 
     def running_cost(self, state, control, time, data) -> Scalar:
         """Cost per second at a point, in the user's units; ``data`` are ``node_data`` there."""
-        return self.cost.running(state, control, time, self._cost_parameters(data))
+        return self.cost.running_at(state, control, time, self._of_node(data))
 
     def _slack_weights(self) -> Iterator[tuple[int, Scalar]]:
         """Number and weight of every slack; weights are per unit of the solver's slack."""
@@ -199,9 +201,8 @@ class ScaledTimeProblem(eqx.Module):
         ``node_data`` follow the control.
         """
         own = self.variables - self.state_size
-        dilation = control[own - 1 : own] / (
-            self.nodes - 1
-        )  # of one interval: the derivative is proportional to it
+        # of one interval: the derivative is proportional to it
+        dilation = control[own - 1 : own] / (self.nodes - 1)
         return jnp.append(*self.rate(state, jnp.append(control[: own - 1], dilation), control[own:]))
 
     def terminal_cost(self, z: Float[Array, "nodes variables"]) -> Scalar:
@@ -210,10 +211,8 @@ class ScaledTimeProblem(eqx.Module):
         if not self.carries_time:
             time = node_times(z[:, -1])[-1]
             time = time if self.sizes is None else time * self.sizes.time
-        parameters = self.cost.parameters
-        if self.cost.per_node:
-            parameters = jax.tree.map(lambda v: v[-1], parameters)
-        cost = self.cost.terminal(state, time, parameters)
+        last = jax.tree.map(lambda v: v[-1], self.cost.node_parameters())
+        cost = self.cost.terminal_at(state, time, last)
         return cost if self.sizes is None else cost / self.sizes.cost
 
     def terminal_hessian(self, z: Float[Array, "nodes variables"]) -> Float[Array, "states states"]:

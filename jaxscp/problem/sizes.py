@@ -1,7 +1,5 @@
 """Typical sizes of a problem with a scale: given ones, and those measured at the guess. They have no derivatives."""
 
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -32,7 +30,7 @@ class Sizes(eqx.Module):
 
 
 def measured_sizes(problem: OptimalControlProblem, scale: Scale, guess: Trajectory) -> Sizes:
-    """The scale's sizes, and those of cost and end conditions at the guess."""
+    """Sizes of the scale, and sizes of cost and end conditions at the guess."""
     problem, scale, guess = jax.lax.stop_gradient((problem, scale, guess))
     ends = problem.boundary
     first, last, final_time = guess.state[0], guess.state[-1], guess.time[-1]
@@ -62,13 +60,11 @@ def _or_one(size: Array) -> Array:
 
 def _size_of_cost(cost: Cost, guess: Trajectory) -> Scalar:
     """Cost of a guess, by the trapezium rule; one where it costs nothing."""
-    per_node = cost.parameters if cost.per_node else ()
-    at: Any = lambda p: p if cost.per_node else cost.parameters  # noqa: E731
-    running = lambda x, u, t, p: cost.running(x, u, t, at(p))  # noqa: E731
-    rate = jax.vmap(running)(guess.state, guess.control, guess.time, per_node)
-    last = at(jax.tree.map(lambda v: v[-1], per_node))
-    total = jnp.sum(0.5 * (rate[1:] + rate[:-1]) * jnp.diff(guess.time))
-    return _or_one(jnp.abs(total + cost.terminal(guess.state[-1], guess.time[-1], last)))
+    parameters = cost.node_parameters()
+    rate = jax.vmap(cost.running_at)(guess.state, guess.control, guess.time, parameters)
+    last = jax.tree.map(lambda v: v[-1], parameters)
+    running = jnp.sum(0.5 * (rate[1:] + rate[:-1]) * jnp.diff(guess.time))
+    return _or_one(jnp.abs(running + cost.terminal_at(guess.state[-1], guess.time[-1], last)))
 
 
 def size_of_constraint(c: Constraint, scale: Scale, guess: Trajectory) -> Scalar:

@@ -8,26 +8,27 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jax.core import Tracer
 
-from jaxscp.aot.aot import CompiledPlanner
+from jaxscp.aot.aot import CompiledPlanner, one_element
 from jaxscp.aot.pytree_spec import Spec, difference, spec_of
+from jaxscp.backends.xla import is_traced
 from jaxscp.problem.canonical import canonical
 from jaxscp.problem.problem import OptimalControlProblem
 from jaxscp.problem.trajectory import Trajectory
+from jaxscp.solver.request import Request
 from jaxscp.solver.solution import Solution
 
 
-def signature(problem: OptimalControlProblem, guess: Trajectory) -> Spec:
-    """Names and shapes of a problem's numbers and of the guess, and a hash of the problem's functions."""
+def signature(problem: OptimalControlProblem, asked: Request) -> Spec:
+    """Names and shapes of a problem's numbers and of its request's guess, and a hash of the problem's functions."""
     numbers = {name: _like(value) for name, value in problem.arrays().items()}
-    known = spec_of({"problem": numbers, "guess": jax.tree.map(_like, guess)})
-    return known | {"functions": _functions(problem)}
+    known = spec_of({"problem": numbers, "guess": jax.tree.map(_like, asked.start)})
+    return known | {"functions": _functions(asked.asked)}
 
 
-def _functions(problem: OptimalControlProblem) -> str:
-    """Hash of the problem's functions and parts."""
-    text = json.dumps(spec_of(canonical(problem)), sort_keys=True)
+def _functions(asked: OptimalControlProblem) -> str:
+    """Hash of the functions and parts of a canonical problem."""
+    text = json.dumps(spec_of(asked), sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -71,7 +72,7 @@ class CompiledSolver:
             self._check_functions(problem)
         numbers = problem.arrays() if isinstance(problem, OptimalControlProblem) else dict(problem)
         path = guess.trajectory if isinstance(guess, Solution) else guess
-        if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((numbers, path))):
+        if is_traced((numbers, path)):
             raise TypeError(
                 "a compiled solver takes arrays; inside jit, vmap and grad, call the Solver itself"
             )
@@ -84,7 +85,7 @@ class CompiledSolver:
             raise TypeError(f"problem: {unknown[0]!r} is unknown to the solver")
         ordered = {name: jnp.asarray(numbers[name], part["dtype"]) for name, part in expected.items()}
         path = jax.tree.map(lambda v: jnp.asarray(v, float), Trajectory(*jax.tree.leaves(path)))
-        one = (ordered, path) if self.batch_size is None else _one_element((ordered, path), self.batch_size)
+        one = (ordered, path) if self.batch_size is None else one_element((ordered, path), self.batch_size)
         expected_shapes = {"entries": self.signature["entries"]}
         differs = difference(expected_shapes, spec_of({"problem": one[0], "guess": one[1]}))
         if differs:
@@ -93,14 +94,5 @@ class CompiledSolver:
 
     def _check_functions(self, problem: OptimalControlProblem) -> None:
         """Raise for a problem of other functions; of a batch, shapes differ by its axis and are checked alone."""
-        if self.batch_size is None and _functions(problem) != self.signature["functions"]:
+        if self.batch_size is None and _functions(canonical(problem)) != self.signature["functions"]:
             raise TypeError("problem: its functions or parts are not those that the solver was compiled for")
-
-
-def _one_element(trees: Any, size: int) -> Any:
-    """Shapes of one element of a stack."""
-    for path, leaf in jax.tree_util.tree_leaves_with_path(trees):
-        if leaf.shape[:1] != (size,):
-            name = jax.tree_util.keystr(path)
-            raise TypeError(f"{name}: a leading axis of {size} elements expected, got shape {leaf.shape}")
-    return jax.tree.map(lambda v: jax.ShapeDtypeStruct(v.shape[1:], v.dtype), trees)

@@ -5,10 +5,9 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from jaxscp.core.types import Flag
-from jaxscp.problem.canonical import canonical
+from jaxscp.problem.canonical import as_array, canonical
 from jaxscp.problem.check import check_shapes, check_values, rules
 from jaxscp.problem.errors import InvalidProblem
 from jaxscp.problem.form import Form
@@ -71,7 +70,7 @@ def request(problem: OptimalControlProblem, guess: Any) -> Request:
             "final_time) makes one; Trajectory.from_arrays(times, states, controls) another."
         )
     fields = {
-        name: _floats(getattr(guess, name), f"guess.{name}")
+        name: as_array(getattr(guess, name), f"guess.{name}").astype(float)
         for name in ("time", "state", "control", "dilation")
     }
     start = Trajectory(fields["time"], fields["state"], fields["control"], fields["dilation"])
@@ -81,10 +80,3 @@ def request(problem: OptimalControlProblem, guess: Any) -> Request:
             f"guess: expected axes (nodes,), (nodes, states), (nodes, controls), (nodes,); got {shapes}."
         )
     return Request(asked, start.resampled(asked.time.nodes))
-
-
-def _floats(value: Any, field: str) -> jax.Array:
-    dtype = getattr(value, "dtype", np.dtype(float))
-    if dtype == jnp.float32:
-        raise InvalidProblem(f"{field}: expected float64, got float32.")
-    return jnp.asarray(value, float)

@@ -53,7 +53,6 @@ class Solver(eqx.Module):
             InvalidProblem: if the request contradicts itself; the message names the field. Inside ``jit`` and ``vmap``
                 the status of that element is ``invalid_input``, and its numbers are NaN.
         """
-        check_instance("method", self.method, Method)
         asked = request(problem, guess)
         if check:
             check_functions(asked.asked, asked.start)
@@ -74,7 +73,7 @@ class Solver(eqx.Module):
         """
         asked = request(problem, guess)
         compiled = self._pipeline(asked).compile(asked, batch_size)
-        return CompiledSolver(compiled, signature(problem, asked.start))
+        return CompiledSolver(compiled, signature(problem, asked))
 
     def export(
         self,
@@ -94,10 +93,11 @@ class Solver(eqx.Module):
         """
         asked = request(problem, guess)
         pipeline = self._pipeline(asked)
-        traced = pipeline.trace(asked, batch_size)._replace(scenario=signature(problem, asked.start))
+        traced = pipeline.trace(asked, batch_size)._replace(scenario=signature(problem, asked))
         pipeline.export(file, traced)
 
     def _pipeline(self, asked: Request) -> Pipeline:
+        check_instance("method", self.method, Method)
         return Pipeline(asked.asked.time.nodes, self.method, self.samples)
 
 
