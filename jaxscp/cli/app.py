@@ -214,7 +214,7 @@ def _write_files(request: PlanRequest, scenario: LandingScenario, solution: Solu
     if request.plot is not None:
         from jaxscp.plot.page import summary
 
-        summary(scenario, solution).savefig(request.plot, dpi=80)
+        summary(scenario, solution).savefig(request.plot)
 
 
 def _scenario(request: PlanRequest, notes: Console) -> tuple[str, LandingScenario, dict[str, Any]]:

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscp.corridor.polytopes import Corridor
+from jaxscp.landing.mission import Ellipsoids
 from jaxscp.landing.problem import landing_problem
 from jaxscp.landing.scenario import LandingScenario
 from jaxscp.problem.form import Continuous
@@ -57,9 +58,50 @@ def _rollout(scenario: LandingScenario, solution: Solution, samples: int) -> Rol
 
 
 def corridor_margin(corridor: Corridor, curves: Curves) -> Array:
-    """Distance in m from each point to the nearest face of the polytope in force; negative outside it."""
-    normals = np.asarray(corridor.normals)[curves.polytope]
-    along = np.einsum("pfc,pc->pf", normals, curves.state[:, :3])
-    depth = np.asarray(corridor.offsets)[curves.polytope] - along
+    """Distance in m from each point to the nearest face of the polytope in force; negative outside it.
+
+    It jumps where the polytope changes. ``union_margin`` does not.
+
+    Args:
+        corridor: polytopes.
+        curves: points, with the polytope of each.
+    """
+    return np.take_along_axis(_depths(corridor, curves), curves.polytope[:, None], axis=1)[:, 0]
+
+
+def union_margin(corridor: Corridor, curves: Curves) -> Array:
+    """Clearance to the union of all polytopes, (points,), m: the largest of the distances to each one's faces.
+
+    A point this deep in one polytope is at least this far from every obstacle side of the union. It is continuous in
+    the point; negative outside all polytopes.
+
+    Args:
+        corridor: polytopes.
+        curves: points.
+    """
+    return np.max(_depths(corridor, curves), axis=1)
+
+
+def zone_margin(zones: Ellipsoids, curves: Curves) -> Array:
+    """Clearance to the nearest ellipsoid, (points,), m; negative inside.
+
+    For a ball this is the distance. For an ellipsoid, (|shape (p - centre)| - 1) times its least semi-axis: a lower
+    bound of the distance.
+
+    Args:
+        zones: ellipsoids.
+        curves: points.
+    """
+    shapes = np.asarray(zones.shapes)
+    from_centre = curves.state[:, None, :3] - np.asarray(zones.centres)
+    level = np.linalg.norm(np.einsum("zij,pzj->pzi", shapes, from_centre), axis=2)
+    least = 1.0 / np.linalg.norm(shapes, ord=2, axis=(1, 2))
+    return np.min((level - 1.0) * least, axis=1)
+
+
+def _depths(corridor: Corridor, curves: Curves) -> Array:
+    """Distance of every point to the nearest face of every polytope, (points, polytopes)."""
+    normals, offsets = np.asarray(corridor.normals), np.asarray(corridor.offsets)
+    depth = offsets - np.einsum("kfc,pc->pkf", normals, curves.state[:, :3])
     used = np.linalg.norm(normals, axis=2) > 1e-9
-    return np.min(np.where(used, depth, np.inf), axis=1)
+    return np.min(np.where(used, depth, np.inf), axis=2)

@@ -12,7 +12,15 @@ ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILLION, PURPLE, BLACK = (
     "#CC79A7",
     "#000000",
 )
-ROTORS = (BLUE, ORANGE, GREEN, PURPLE, SKY, VERMILLION, YELLOW, BLACK)
 GREY = "#777777"
+LIMIT = VERMILLION
+"""Limits, zones to stay out of, and nothing else."""
+START, GOAL, GATE = GREEN, ORANGE, PURPLE
+BODY_AXES = ("#882255", "#117733", "#332288")
+"""Body x, y and z: the dark tones of Paul Tol's muted scheme, which nothing else has."""
+COLUMN = 3.5
+"""Width of a paper's column, inches."""
+DPI = 200
+"""Resolution of figures, dots per inch."""
 DASHED: dict[str, Any] = {"linestyle": (0, (5, 2)), "linewidth": 1.1}
 LEGEND: dict[str, Any] = {"fontsize": 8, "frameon": False}

@@ -84,17 +84,17 @@ def test_thrust_limits_are_drawn_and_in_view(panels, scenario):
 
 def test_clearance_shows_its_limits(panels, scenario):
     lines = labelled(panels["clearance [m]"])
-    assert set(lines["corridor limit"].get_ydata()) == {0.0}
-    assert set(lines["vehicle radius"].get_ydata()) == {float(scenario.airframe.radius)}
+    assert set(lines["limit"].get_ydata()) == {0.0}
+    assert set(lines["radius"].get_ydata()) == {float(scenario.airframe.radius)}
 
 
 def test_nodes_are_marked_on_the_flown_line(panels, solution):
     lines = labelled(panels["speed [m/s]"])
     time, speed = lines["nodes"].get_data()
     np.testing.assert_allclose(time, solution.trajectory.time)
-    sampled = np.interp(time, *lines["flown"].get_data())
+    sampled = np.interp(time, *lines["integrated"].get_data())
     np.testing.assert_allclose(sampled, speed, atol=0.01)
-    assert len(lines["flown"].get_xdata()) == (NODES - 1) * SAMPLES
+    assert len(lines["integrated"].get_xdata()) == (NODES - 1) * SAMPLES
 
 
 def test_convergence_has_one_point_an_iteration(panels, solution):
@@ -107,7 +107,7 @@ def test_convergence_has_one_point_an_iteration(panels, solution):
 
 def test_scene_shows_all_there_is_to_one_scale(scene, scenario):
     names = {
-        "flown path", "nodes", "corridor", "obstacle points", "landing cone", "start", "goal",
+        "integrated path", "nodes", "corridor", "obstacle points", "landing cone", "start", "goal",
         "body x", "body y", "body z",
     }  # fmt: skip
     assert names <= set(scene.get_legend_handles_labels()[1])
@@ -146,7 +146,7 @@ def test_drawing_needs_no_obstacles(scenario, solution):
     ax = Figure().add_subplot()
     curves = plot.planned(solution)
     plot.draw_clearance(ax, bare, curves, curves)
-    assert set(labelled(ax)) & {"to obstacle point", "vehicle radius"} == set()
+    assert set(labelled(ax)) & {"to points", "radius"} == set()
 
 
 def test_limits_zones_and_gates_are_drawn_where_there_are_any(scenario, solution, scene):

@@ -11,8 +11,8 @@ from scipy.spatial import KDTree
 from jaxscp.core.types import Scalar
 from jaxscp.dynamics import rotations
 from jaxscp.landing.scenario import LandingScenario
-from jaxscp.plot.curves import Curves, corridor_margin
-from jaxscp.plot.style import BLACK, BLUE, DASHED, GREY, LEGEND, ROTORS, VERMILLION
+from jaxscp.plot.curves import Curves, union_margin, zone_margin
+from jaxscp.plot.style import BLACK, BLUE, DASHED, GREY, LEGEND, LIMIT, PURPLE, SKY
 
 
 def draw_histories(axes: Any, scenario: LandingScenario, curves: Curves, nodes: Curves) -> Any:
@@ -52,30 +52,34 @@ def draw_body_rate(ax: Axes, curves: Curves, nodes: Curves, limit: Scalar | None
 
 
 def draw_thrusts(ax: Axes, scenario: LandingScenario, curves: Curves, nodes: Curves) -> Axes:
-    """Thrust of each rotor in N, with the least and the greatest that it can give."""
-    for rotor in range(nodes.control.shape[1]):
-        color = ROTORS[rotor % len(ROTORS)]
-        ax.plot(curves.time, curves.control[:, rotor], color=color, linewidth=1.2, label=f"rotor {rotor + 1}")
-        ax.plot(nodes.time, nodes.control[:, rotor], "o", color=color, markersize=2.5)
+    """Rotor thrusts in N: a band from the least to the greatest, their mean, and the limits of all rotors."""
+    ax.fill_between(
+        curves.time, curves.control.min(axis=1), curves.control.max(axis=1), color=SKY, alpha=0.45, linewidth=0,
+        label="all rotors",
+    )  # fmt: skip
+    ax.plot(curves.time, curves.control.mean(axis=1), color=BLUE, linewidth=1.5, label="mean")
+    ax.plot(nodes.time, nodes.control.mean(axis=1), "o", color=BLACK, markersize=3)
     limits = {*np.asarray(scenario.airframe.thrust_min), *np.asarray(scenario.airframe.thrust_max)}
     for index, limit in enumerate(sorted(map(float, limits))):
-        ax.axhline(limit, color=VERMILLION, **DASHED, label="limits" if index == 0 else None)
+        ax.axhline(limit, color=LIMIT, **DASHED, label="limits" if index == 0 else None)
     ax.set_ylabel("thrust [N]")
     _legend_beside(ax)
     return ax
 
 
 def draw_clearance(ax: Axes, scenario: LandingScenario, curves: Curves, nodes: Curves) -> Axes:
-    """Distance in m to the corridor's nearest face (negative outside) and to the nearest obstacle point."""
-    ax.plot(curves.time, corridor_margin(scenario.corridor, curves), color=BLUE, label="to corridor face")
-    ax.plot(nodes.time, corridor_margin(scenario.corridor, nodes), "o", color=BLUE, markersize=3)
+    """Clearance in m to the union of polytopes (negative outside), to keep-out zones and to obstacle points."""
+    ax.plot(curves.time, union_margin(scenario.corridor, curves), color=BLUE, label="to corridor")
+    ax.plot(nodes.time, union_margin(scenario.corridor, nodes), "o", color=BLACK, markersize=3)
+    if scenario.keep_out is not None:
+        ax.plot(curves.time, zone_margin(scenario.keep_out, curves), color=PURPLE, label="to zone")
     if scenario.obstacles is not None:
         distance, _ = KDTree(np.asarray(scenario.obstacles)).query(curves.state[:, :3])
-        ax.plot(curves.time, distance, color=GREY, label="to obstacle point")
-        ax.axhline(float(scenario.airframe.radius), color=GREY, **DASHED, label="vehicle radius")
-    ax.axhline(0.0, color=VERMILLION, **DASHED, label="corridor limit")
+        ax.plot(curves.time, distance, color=GREY, label="to points")
+        ax.axhline(float(scenario.airframe.radius), color=GREY, **DASHED, label="radius")
+    ax.axhline(0.0, color=LIMIT, **DASHED, label="limit")
     bottom, top = ax.get_ylim()
-    ax.axhspan(min(bottom, 0.0), 0.0, color=VERMILLION, alpha=0.08, linewidth=0)
+    ax.axhspan(min(bottom, 0.0), 0.0, color=LIMIT, alpha=0.08, linewidth=0)
     ax.set(ylabel="clearance [m]", ylim=(bottom, top))
     _legend_beside(ax)
     return ax
@@ -83,10 +87,10 @@ def draw_clearance(ax: Axes, scenario: LandingScenario, curves: Curves, nodes: C
 
 def _curve(ax: Axes, curves: Curves, nodes: Curves, quantity: Any, label: str, limit: Any = None) -> Axes:
     """One quantity: a line as flown, dots as planned, and its limit dashed."""
-    ax.plot(curves.time, quantity(curves), color=BLUE, linewidth=1.5, label="flown")
+    ax.plot(curves.time, quantity(curves), color=BLUE, linewidth=1.5, label="integrated")
     ax.plot(nodes.time, quantity(nodes), "o", color=BLACK, markersize=3, label="nodes")
     if limit is not None:
-        ax.axhline(float(limit), color=VERMILLION, **DASHED, label="limit")
+        ax.axhline(float(limit), color=LIMIT, **DASHED, label="limit")
     ax.set_ylabel(label)
     return ax
 

@@ -16,28 +16,49 @@ from jaxscp.dynamics import rotations
 from jaxscp.landing.mission import BodyState, Ellipsoids
 from jaxscp.landing.scenario import LandingScenario
 from jaxscp.plot.curves import Array, Curves
-from jaxscp.plot.style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILLION
+from jaxscp.plot.hidden import hidden, toward_viewer
+from jaxscp.plot.style import BLACK, BLUE, BODY_AXES, GATE, GOAL, GREY, LIMIT, SKY, START
+
+ELEVATION, AZIMUTH = 38.0, -70.0  # degrees
 
 
-def draw_scene(ax: Axes3D, scenario: LandingScenario, curves: Curves, nodes: Curves) -> Axes3D:
-    """Corridor, obstacles, landing cone, path and attitude in three dimensions, to one scale."""
-    ax.computed_zorder = False  # the path stays visible behind other objects
+def draw_scene(
+    ax: Axes3D, scenario: LandingScenario, curves: Curves, nodes: Curves, every: int | None = None
+) -> Axes3D:
+    """Corridor, obstacles, landing cone, path and attitude in three dimensions, to one scale.
+
+    Parts of the path behind obstacle points are dotted. ``every``: body axes are drawn at every n-th node.
+    """
+    ax.computed_zorder = False  # matplotlib knows no depth: ``hidden`` does
+    ax.set_proj_type("ortho")
     low, high = _bounds(scenario, nodes)
     if scenario.obstacles is not None:
         draw_obstacles(ax, np.asarray(scenario.obstacles), low, high)
     draw_corridor(ax, scenario.corridor)
-    draw_ellipsoids(ax, scenario.keep_out, VERMILLION, "keep-out zone")
-    draw_ellipsoids(ax, scenario.gates, PURPLE, "gate")
+    draw_ellipsoids(ax, scenario.keep_out, LIMIT, "keep-out zone")
+    draw_ellipsoids(ax, scenario.gates, GATE, "gate")
     goal = scenario.goal_at(jnp.asarray(nodes.time[-1]))
     draw_landing_cone(ax, goal, float(scenario.cone_angle))
-    draw_body_axes(ax, nodes, length=0.05 * float(np.max(high - low)))
+    draw_body_axes(ax, nodes, length=0.05 * float(np.max(high - low)), every=every)
     x, y, z = curves.state[:, :3].T
     ax.plot(x, y, np.full_like(z, low[2]), color=GREY, linewidth=1.2, zorder=1, label="shadow on the ground")
-    ax.plot(x, y, z, color=BLACK, linewidth=1.8, zorder=6, label="flown path")
-    ax.plot(*nodes.state[:, :3].T, "o", color=BLACK, markersize=3.2, zorder=7, label="nodes")
+    _draw_path(ax, scenario, curves, nodes)
     _mark_ends(ax, scenario.start, goal)
     _to_scale(ax, low, high)
     return ax
+
+
+def _draw_path(ax: Axes3D, scenario: LandingScenario, curves: Curves, nodes: Curves) -> None:
+    """The path: solid where it is seen, dotted behind obstacles; nodes where they are seen."""
+    viewer = toward_viewer(ELEVATION, AZIMUTH)
+    points = np.empty((0, 3)) if scenario.obstacles is None else np.asarray(scenario.obstacles)
+    behind = hidden(curves.state[:, :3], points, viewer)
+    seen, dotted = (np.where(rows[:, None], curves.state[:, :3], np.nan) for rows in (~behind, behind))
+    ax.plot(*seen.T, color=BLACK, linewidth=1.8, zorder=6, label="integrated path")
+    if behind.any():
+        ax.plot(*dotted.T, ":", color=BLACK, linewidth=1.0, alpha=0.6, zorder=6, label="behind obstacles")
+    at = nodes.state[:, :3][~hidden(nodes.state[:, :3], points, viewer)]
+    ax.plot(*at.T, "o", color=BLACK, markersize=3.2, zorder=7, label="nodes")
 
 
 def _to_scale(ax: Axes3D, low: Array, high: Array) -> None:
@@ -46,7 +67,7 @@ def _to_scale(ax: Axes3D, low: Array, high: Array) -> None:
     ax.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
     for axis in (ax.xaxis, ax.yaxis, ax.zaxis):
         axis.set_major_locator(MaxNLocator(8, integer=True, steps=[1, 2, 5, 10]))
-    ax.view_init(elev=38, azim=-70)
+    ax.view_init(elev=ELEVATION, azim=AZIMUTH)
     ax.set_box_aspect(high - low)
     zoom: Any = _zoom_to_fill(ax, low, high)  # a float, which matplotlib's annotation does not know
     ax.set_box_aspect(high - low, zoom=zoom)
@@ -107,9 +128,9 @@ def draw_landing_cone(ax: Axes3D, goal: BodyState, angle: float, height: float =
     deck = np.asarray(rotations.rotation_matrix(goal.attitude))
     surface = np.stack([radius * np.cos(around), radius * np.sin(around), up], axis=-1) @ deck.T
     x, y, z = np.moveaxis(np.asarray(goal.position) + surface, -1, 0)
-    ax.plot_surface(x, y, z, color=ORANGE, alpha=0.22, linewidth=0, shade=False, zorder=4)
-    ax.plot(x[1], y[1], z[1], color=ORANGE, linewidth=1.0, zorder=4)
-    ax.plot([], [], [], color=ORANGE, linewidth=5, alpha=0.5, label="landing cone")
+    ax.plot_surface(x, y, z, color=SKY, alpha=0.35, linewidth=0, shade=False, zorder=4)
+    ax.plot(x[1], y[1], z[1], color=SKY, linewidth=1.0, zorder=4)
+    ax.plot([], [], [], color=SKY, linewidth=5, alpha=0.5, label="landing cone")
     return ax
 
 
@@ -118,7 +139,7 @@ def draw_body_axes(ax: Axes3D, nodes: Curves, length: float, every: int | None =
     every = every or max(1, round(len(nodes.time) / 10))
     origin = nodes.state[::every, :3]
     frames = np.asarray(jax.vmap(rotations.rotation_matrix)(jnp.asarray(nodes.state[::every, 6:10])))
-    for axis, (name, color) in enumerate(zip("xyz", (VERMILLION, GREEN, BLUE), strict=True)):
+    for axis, (name, color) in enumerate(zip("xyz", BODY_AXES, strict=True)):
         tips = origin + length * frames[:, :, axis]
         lines = Line3DCollection(np.stack([origin, tips], axis=1), colors=color, linewidths=1.6, zorder=5)
         ax.add_collection3d(lines)
@@ -127,11 +148,11 @@ def draw_body_axes(ax: Axes3D, nodes: Curves, length: float, every: int | None =
 
 
 def _mark_ends(ax: Axes3D, start: BodyState, goal: BodyState) -> None:
-    for state, marker, name in ((start, "s", "start"), (goal, "*", "goal")):
+    for state, marker, name, color in ((start, "s", "start", START), (goal, "*", "goal", GOAL)):
         ax.plot(
             *np.asarray(state.position)[:, None],
             marker,
-            color=VERMILLION,
+            color=color,
             markersize=7 if marker == "s" else 12,
             markeredgecolor="white",
             zorder=8,
