@@ -33,7 +33,9 @@ def problem(pole=0.3):
     return js.OptimalControlProblem(
         dynamics=js.Dynamics.of(cart_pole, states=4, controls=1, parameters=pole),
         cost=js.Cost(running=lambda x, u, t, p: u @ u),
-        boundary=js.Boundary(js.fixed_state([0.0, 0.0, 0.0, 0.0]), js.fixed_state([DISTANCE, np.pi, 0.0, 0.0])),
+        boundary=js.Boundary(
+            js.fixed_state([0.0, 0.0, 0.0, 0.0]), js.fixed_state([DISTANCE, np.pi, 0.0, 0.0])
+        ),
         time=js.Time(nodes=40, final=js.FixedTime(DURATION)),
         constraints=(
             js.bounds(state=([-REACH, None, None, None], [REACH, None, None, None]), control=(-FORCE, FORCE)),
@@ -54,7 +56,7 @@ def draw(solution):
     """The pole, now and then, with the path of its end."""
     force = History("force in N", lambda x, u: u[:, 0], limits=(-FORCE, FORCE))
     angle = History("angle in rad", lambda x, u: x[:, 1])
-    end = lambda x: np.stack([x[:, 0] + LENGTH * np.sin(x[:, 1]), -LENGTH * np.cos(x[:, 1])], axis=1)  # noqa: E731
+    end = lambda x: np.stack([x[:, 0] + LENGTH * np.sin(x[:, 1]), -LENGTH * np.cos(x[:, 1])], axis=1)
     figure, path = page(problem(), solution, ("x in m", "z in m"), [force, angle], place=end)
     poles = np.asarray(solution.trajectory.state)[::3]
     for cart, tip in zip(poles[:, 0], end(poles), strict=True):

@@ -31,7 +31,9 @@ def at_rest(position, turned):
 def problem(lift=0.0):
     node = jnp.arange(4 * EVERY + 1)
     passed = [
-        js.Constraint(within, js.NonNegative(), gate, active=node == EVERY * k, where=js.AtNodes(), name=f"gate {k}")
+        js.Constraint(
+            within, js.NonNegative(), gate, active=node == EVERY * k, where=js.AtNodes(), name=f"gate {k}"
+        )
         for k, gate in enumerate(GATES + jnp.array([0.0, 0.0, lift]), start=1)
     ]
     return js.OptimalControlProblem(
@@ -54,7 +56,9 @@ REFERENCE = ipopt(1.0)
 
 def draw(solution):
     """The flight through the gates."""
-    thrust = History("thrusts in N", lambda x, u: u, limits=(QUADROTOR.thrust_min[0], QUADROTOR.thrust_max[0]))
+    thrust = History(
+        "thrusts in N", lambda x, u: u, limits=(QUADROTOR.thrust_min[0], QUADROTOR.thrust_max[0])
+    )
     speed = History("speed in m/s", lambda x, u: jnp.linalg.norm(x[:, 3:6], axis=1))
     figure, path = page(problem(), solution, ("x in m", "y in m", "z in m"), [thrust, speed])
     path.scatter(*GATES.T)

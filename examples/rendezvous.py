@@ -65,7 +65,7 @@ def draw(solution):
     """The approach in the plane of the orbit."""
     acceleration = History("acceleration in mm/s²", lambda x, u: 1e3 * u)
     distance = History("distance in m", lambda x, u: np.linalg.norm(x[:, :3], axis=1))
-    across = lambda x: x[:, [1, 0]]  # noqa: E731
+    across = lambda x: x[:, [1, 0]]
     labels = ("along the orbit in m", "radial in m")
     figure, path = page(problem(), solution, labels, [acceleration, distance], place=across)
     path.axis("equal")

@@ -25,7 +25,9 @@ START = [WET, 4.0, 4.0, 0.0, 0.0, 0.0, 2.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
 END = [None, 0.0, 0.0, 0.0, -0.1, 0.0, 0.0, None, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
 
 
-def rocket(x, u, t, p):  # x = (mass, position, velocity, quaternion, body rate), the first axis up; u = thrust
+def rocket(
+    x, u, t, p
+):  # x = (mass, position, velocity, quaternion, body rate), the first axis up; u = thrust
     v, w, q, rate = x[4:7], x[7], x[8:11], x[11:]
     twist = jnp.cross(q, u)
     acceleration = (u + 2.0 * (w * twist + jnp.cross(q, twist))) / x[0] - jnp.array([1.0, 0.0, 0.0])
@@ -35,7 +37,7 @@ def rocket(x, u, t, p):  # x = (mass, position, velocity, quaternion, body rate)
 
 
 def at_most(bound, vector, **more):  # |vector(x, u)| <= bound(x, u, p)
-    value = lambda x, u, t, p: jnp.append(bound(x, u, p), vector(x, u))  # noqa: E731
+    value = lambda x, u, t, p: jnp.append(bound(x, u, p), vector(x, u))
     return js.Constraint(value, js.SecondOrder(), convex=True, **more)
 
 
@@ -43,7 +45,9 @@ def problem(most=MOST):
     nodes = 50
     constraints = (
         js.bounds(state=([DRY, *[None] * 13], None), name="dry mass"),
-        js.Constraint(lambda x, u, t, p: jnp.linalg.norm(u)[None] - LEAST, js.NonNegative(), name="least thrust"),
+        js.Constraint(
+            lambda x, u, t, p: jnp.linalg.norm(u)[None] - LEAST, js.NonNegative(), name="least thrust"
+        ),
         at_most(lambda x, u, p: p, lambda x, u: u, parameters=most, name="most thrust"),
         at_most(lambda x, u, p: u[0] / np.cos(GIMBAL), lambda x, u: u, name="gimbal"),
         at_most(lambda x, u, p: np.sin(TILT / 2.0), lambda x, u: x[9:11], name="tilt"),
