@@ -49,7 +49,7 @@ def guess(problem):
 
 # --- what to expect ---
 
-REFERENCE = ipopt(1.0)
+REFERENCE = ipopt(57.947956)
 
 
 def draw(solution):

@@ -48,7 +48,7 @@ def guess(problem):
 
 # --- what to expect ---
 
-REFERENCE = ipopt(1.0)
+REFERENCE = ipopt(2.920664)
 
 
 def draw(solution):

@@ -74,7 +74,7 @@ def guess(problem):
 
 # --- what to expect ---
 
-REFERENCE = ipopt(1.0)
+REFERENCE = ipopt(float("nan"))
 
 
 def draw(solution):
