@@ -127,7 +127,8 @@ def of_this_package(function: Callable[..., Any]) -> bool:
     if isinstance(function, Program):
         return True
     cls = function if isinstance(function, types.FunctionType) else type(function)
-    ours = cls.__module__.partition(".")[0] == PACKAGE and "<" not in cls.__qualname__
+    module = cls.__module__ or ""  # None for a function of a namespace without a name
+    ours = module.partition(".")[0] == PACKAGE and "<" not in cls.__qualname__
     return ours and not jax.tree.leaves(function if cls is not function else ())
 
 
