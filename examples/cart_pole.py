@@ -1,10 +1,12 @@
 """A cart swings its pole up in two seconds, with the least integral of the squared force.
 
 Numbers: Kelly, "An introduction to trajectory optimization: how to do your own direct collocation", SIAM Review 59
-(2017), section 6. The guess is also the one of that paper.
+(2017), section 6. From the straight line, the guess of that paper, solvers end at another local optimum, 58.81.
 
 Reference: IPOPT on the same transcription, the best of four starts.
 """
+
+import dataclasses
 
 import jax
 
@@ -43,8 +45,9 @@ def problem(pole=0.3):
     )
 
 
-def guess(problem):
-    return js.straight_line(problem)
+def guess(problem):  # the pole swings back before it goes up
+    line = js.straight_line(problem)
+    return dataclasses.replace(line, state=line.state.at[:, 1].add(2.0 * jnp.sin(jnp.pi * line.time)))
 
 
 # --- what to expect ---

@@ -17,54 +17,36 @@ import numpy as np
 import jaxscp as js
 from examples.drawing import History, page
 from examples.support import ipopt, show
+from jaxscp.dynamics.rotations import quaternion_rate, rotation_matrix
 
-WET, DRY, BURN, INERTIA = 2.0, 1.0, 0.05, 0.01
-LEAST, MOST, ENGINE = 0.3, 5.0, jnp.array([-0.01, 0.0, 0.0])  # thrust, and where it acts
+WET, DRY, BURN, LEAST, MOST, INERTIA = 2.0, 1.0, 0.05, 0.3, 5.0, 0.01
 GIMBAL, TILT, SLOPE, RATE = np.deg2rad([20.0, 90.0, 20.0, 60.0])  # limits of angles and of the body rate
-START = [WET, 4.0, 4.0, 0.0, 0.0, 0.0, 2.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
-END = [None, 0.0, 0.0, 0.0, -0.1, 0.0, 0.0, None, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+START = js.fixed_state([WET, 4.0, 4.0, 0.0, 0.0, 0.0, 2.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+END = js.fixed_state([None, 0.0, 0.0, 0.0, -0.1, 0.0, 0.0, None, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 
 
-def rocket(
-    x, u, t, p
-):  # x = (mass, position, velocity, quaternion, body rate), the first axis up; u = thrust
-    v, w, q, rate = x[4:7], x[7], x[8:11], x[11:]
-    twist = jnp.cross(q, u)
-    acceleration = (u + 2.0 * (w * twist + jnp.cross(q, twist))) / x[0] - jnp.array([1.0, 0.0, 0.0])
-    turn = 0.5 * jnp.append(-q @ rate, w * rate + jnp.cross(q, rate))
-    burn = -BURN * jnp.linalg.norm(u)[None]
-    return jnp.concatenate([burn, v, acceleration, turn, jnp.cross(ENGINE, u) / INERTIA])
+# x = (mass, position, velocity, quaternion, body rate), the first axis up; u = thrust
+def rocket(x, u, t, p):
+    acceleration = rotation_matrix(x[7:11]) @ u / x[0] - jnp.array([1.0, 0.0, 0.0])
+    turn = jnp.append(quaternion_rate(x[7:11], x[11:]), jnp.cross(np.array([-0.01, 0, 0]), u) / INERTIA)
+    return jnp.concatenate([-BURN * jnp.linalg.norm(u)[None], x[4:7], acceleration, turn])
 
 
-def at_most(bound, vector, **more):  # |vector(x, u)| <= bound(x, u, p)
-    value = lambda x, u, t, p: jnp.append(bound(x, u, p), vector(x, u))
-    return js.Constraint(value, js.SecondOrder(), convex=True, **more)
+def limits(x, u, t, most):
+    size, tilted, rate = jnp.linalg.norm(u), x[9:11], x[11:]
+    of_state = jnp.stack([x[0] - DRY, np.sin(TILT / 2.0) ** 2 - tilted @ tilted, RATE**2 - rate @ rate])
+    return jnp.append(of_state, jnp.stack([size - LEAST, most - size, u[0] - np.cos(GIMBAL) * size]))
 
 
 def problem(most=MOST):
-    nodes = 50
-    constraints = (
-        js.bounds(state=([DRY, *[None] * 13], None), name="dry mass"),
-        js.Constraint(
-            lambda x, u, t, p: jnp.linalg.norm(u)[None] - LEAST, js.NonNegative(), name="least thrust"
-        ),
-        at_most(lambda x, u, p: p, lambda x, u: u, parameters=most, name="most thrust"),
-        at_most(lambda x, u, p: u[0] / np.cos(GIMBAL), lambda x, u: u, name="gimbal"),
-        at_most(lambda x, u, p: np.sin(TILT / 2.0), lambda x, u: x[9:11], name="tilt"),
-        at_most(lambda x, u, p: RATE, lambda x, u: x[11:], name="body rate"),
-        at_most(
-            lambda x, u, p: x[1] / np.tan(SLOPE),
-            lambda x, u: x[2:4],
-            active=jnp.arange(nodes) < nodes - 1,
-            name="glide slope",
-        ),
-    )
+    slope = lambda x, u, t, p: jnp.append(x[1] / np.tan(SLOPE), x[2:4])
+    above = js.Constraint(slope, js.SecondOrder(), convex=True, active=np.arange(50) < 49)  # ends at its tip
     return js.OptimalControlProblem(
         dynamics=js.Dynamics.of(rocket, states=14, controls=3),
         cost=js.Cost(terminal=lambda x, t, p: t),
-        boundary=js.Boundary(js.fixed_state(START), js.fixed_state(END)),
-        time=js.Time(nodes=nodes, final=js.FreeTime(0.5, 20.0)),
-        constraints=constraints,
+        boundary=js.Boundary(START, END),
+        time=js.Time(nodes=50, final=js.FreeTime(0.5, 20.0)),
+        constraints=(js.Constraint(limits, js.NonNegative(), most), above),
     )
 
 
@@ -74,7 +56,7 @@ def guess(problem):
 
 # --- what to expect ---
 
-REFERENCE = ipopt(float("nan"))
+REFERENCE = ipopt(6.00786514)
 
 
 def draw(solution):
