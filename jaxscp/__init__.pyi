@@ -6,6 +6,8 @@ from . import plot as plot
 from .aot.aot import CompiledPlanner as CompiledPlanner
 from .aot.archive import InvalidExport as InvalidExport
 from .aot.cache_folder import use_cache as use_cache
+from .backends.serving import Backends as Backends
+from .backends.serving import PerformanceWarning as PerformanceWarning
 from .cones.cone import NonNegative as NonNegative
 from .cones.cone import SecondOrder as SecondOrder
 from .cones.cone import Zero as Zero

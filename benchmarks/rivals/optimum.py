@@ -128,8 +128,8 @@ class Optimum:
             cone = ca.vertcat(self.problem.cone_cotangent * from_apex[2, :], from_apex[:2, :])
             offsets.append(cone[:, first:])
         for j, offset in enumerate(offsets):
-            second_difference = _second_difference(offsets, j)
-            margin = (ca.sqrt(ca.sum1(second_difference**2) + SMOOTHING**2) - SMOOTHING) * np.sqrt(2.0) / 8.0
+            size = ca.sqrt(ca.sum1(second_difference(offsets, j) ** 2) + SMOOTHING**2) - SMOOTHING
+            margin = size * np.sqrt(2.0) / 8.0
             if j == SUBINTERVALS:  # the last point of the trajectory is the apex
                 offset, margin = offset[:, :-1], margin[:, :-1]
             sideways = ca.sqrt(ca.sum1(offset[1:, :] ** 2) + CONE_ROUNDING**2) - CONE_ROUNDING
@@ -172,23 +172,25 @@ def best(lines: list[Start]) -> float:
     return min((line.cost for line in lines if line.status == "Solve_Succeeded"), default=np.inf)
 
 
-def _second_difference(values: list[Any], j: int) -> Any:
+def second_difference(values: list[Any], j: int) -> Any:
     """Second difference over three points times the reserve; extrapolated linearly at the end points."""
     last = len(values) - 1
     if j == 0:
-        return 2 * _second_difference(values, 1) - _second_difference(values, 2)
+        return 2 * second_difference(values, 1) - second_difference(values, 2)
     if j == last:
-        return 2 * _second_difference(values, last - 1) - _second_difference(values, last - 2)
+        return 2 * second_difference(values, last - 1) - second_difference(values, last - 2)
     return RESERVE * (values[j - 1] - 2 * values[j] + values[j + 1])
+
+
+def margin_of_rows(second: Any) -> Any:
+    """Margin for the values between the points, of each row: a chord errs by an eighth of the second difference."""
+    return (second + ca.sqrt(second**2 + SMOOTHING**2) - SMOOTHING) / 16.0
 
 
 def _with_margin(values: list[Any]) -> Iterator[Any]:
     """Values at each point less the margin, without the two fixed ends of the trajectory."""
     for j, value in enumerate(values):
-        second_difference = _second_difference(values, j)
-        reduced = (
-            value - (second_difference + ca.sqrt(second_difference**2 + SMOOTHING**2) - SMOOTHING) / 16.0
-        )
+        reduced = value - margin_of_rows(second_difference(values, j))
         if j == 0:
             reduced = reduced[:, 1:]
         yield reduced[:, :-1] if j == SUBINTERVALS else reduced

@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxscp.backends.serving import warn_slow
 from jaxscp.backends.sources import SHARED, digest
 
 LEVELS = ("v4", "v3", "any")
@@ -103,6 +104,11 @@ def level(stem: Path, handler: str, platform: str = "cpu") -> str | None:
     for name in LEVELS:
         if (found := library(stem, name)) is not None:
             return name if register(found, handler, platform) else None
+    if not any(_file(stem, name).exists() for name in LEVELS):
+        warn_slow(
+            "no compiled C++ is installed, and JAX is up to 13 times slower; install a C++ compiler (GCC 12, Clang 15, "
+            "or newer), then jaxscp again; `jaxscp info` lists what serves"
+        )
     return None
 
 
@@ -113,7 +119,7 @@ def library(stem: Path, level: str) -> ctypes.CDLL | None:
     Also None, with a warning, if the library was compiled from other sources than the present ones: such a library may
     expect other arguments.
     """
-    file = stem.with_name(f"{stem.name}_{level}.so")
+    file = _file(stem, level)
     if not file.exists():
         return None
     found = ctypes.CDLL(str(file))
@@ -127,6 +133,10 @@ def library(stem: Path, level: str) -> ctypes.CDLL | None:
         )
         return None
     return found
+
+
+def _file(stem: Path, level: str) -> Path:
+    return stem.with_name(f"{stem.name}_{level}.so")
 
 
 def compiled_from(library: ctypes.CDLL) -> str:

@@ -8,23 +8,13 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 
+from jaxscp.backends.serving import BACKENDS
 from jaxscp.core.status import Status, status_names
 from jaxscp.corridor.map_report import MapReport
 from jaxscp.landing.scenario import LandingScenario
 from jaxscp.planner.planner import Planner
 from jaxscp.solver.solution import Solution
-
-# quantity of the history -> heading, format
-COLUMNS = {
-    "cost": ("cost", ".4f"),
-    "final_time": (r"t_f \[s]", ".3f"),
-    "virtual_control": ("|nu|", ".1e"),
-    "step_norm": ("|dz|", ".1e"),
-    "defect": ("defect", ".1e"),
-    "conic_iterations": ("conic steps", "d"),
-}
 
 
 class Timing(NamedTuple):
@@ -65,6 +55,7 @@ def report(solution: Solution, timing: Timing) -> dict[str, Any]:
         "compile_seconds": timing.compile,
         "defect": plain(certificate.defect),
         "violation": plain(certificate.violation),
+        "backends": {name: BACKENDS[int(code)] for name, code in vars(solution.backends).items()},
         "optimality": None if certificate.optimality is None else plain(certificate.optimality),
         "end_error": {
             "position": plain(certificate.error("final position")),
@@ -125,30 +116,16 @@ def print_report(console: Console, title: str, solution: Solution, timing: Timin
     """Print the iterations, the status, the certificate and the times."""
     count = max(int(solution.iterations), 1)
     show = functools.partial(console.print, highlight=False, soft_wrap=True)
-    show(iteration_table(title, solution))
+    show(title, style="bold")
+    show(solution.iteration_table())
     show(
         f"status: {status_names(solution.status)}", style="bold green" if converged(solution) else "bold red"
     )
     show(Status[solution.status])
-    if bool(solution.differentiable):
-        steps = int(solution.interior_point_iterations)
-        show(f"{steps} Newton steps of the interior point, from the last iterate to the optimum")
+    show(solution.backends.report())
     show(f"cost {float(solution.cost):.6g}, flight time {float(solution.final_time):.4g} s")
     show("\ncertificate: the controls integrated again from the start, without correction", style="bold")
     show(solution.certificate.report())
     show("\ntime", style="bold")
     show(f"{1e3 * timing.solve:.1f} ms a plan once compiled: guess, {count} iterations, end, certificate")
     show(f"{timing.compile:.1f} s to compile")
-
-
-def iteration_table(title: str, solution: Solution) -> Table:
-    """One row an iteration."""
-    rows = history(solution)
-    shown = {name: column for name, column in COLUMNS.items() if rows and name in rows[0]}
-    table = Table(title=title, title_justify="left", title_style="bold")
-    for heading in ("iteration", *(heading for heading, _ in shown.values())):
-        table.add_column(heading, justify="right")
-    for row in rows:
-        cells = ("-" if row[name] is None else format(row[name], style) for name, (_, style) in shown.items())
-        table.add_row(str(row["iteration"]), *cells)
-    return table

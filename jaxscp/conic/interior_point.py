@@ -17,9 +17,10 @@ import functools
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxscp.backends.libraries import dispatch
+from jaxscp.backends.serving import serving
 from jaxscp.cones.product import ConeVector
 from jaxscp.conic import conic_form, native
 from jaxscp.conic.conic_form import Primal
@@ -91,14 +92,22 @@ class InteriorPoint(Settings):
             z = jnp.where(warm_start.available, warm_start.z, jnp.nan)
             warm_start = eqx.tree_at(lambda n: n.z, warm_start, z)
         arguments = _without_derivative((program, tolerance, warm_start))
-        cpu = self.compiled and native.supports(program)
-        cuda = self.compiled and native.supports_on_gpu(program)
+        cpp, cuda = self._compiled_for(program)
         return dispatch(
-            functools.partial(self._run_compiled, native.call) if cpu else None,
+            functools.partial(self._run_compiled, native.call) if cpp else None,
             functools.partial(run_loop, settings=self),
             *arguments,
             cuda=functools.partial(self._run_compiled, native.call_on_gpu) if cuda else None,
         )
+
+    def served_by(self, program: StagedProgram) -> Int[Array, ""]:
+        """Index into ``BACKENDS`` of the loop that solves programs of these shapes."""
+        cpp, cuda = self._compiled_for(program)
+        return serving(cpp=cpp, cuda=cuda)
+
+    def _compiled_for(self, program: StagedProgram) -> tuple[bool, bool]:
+        """Whether a program's loop runs as C++, and as a kernel."""
+        return self.compiled and native.supports(program), self.compiled and native.supports_on_gpu(program)
 
     def status(self, result: LoopResult, tolerance: Scalar | float | None = None) -> StatusCode:
         """Status of a result of the loop; the default tolerance is the solver's own."""

@@ -18,7 +18,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy
+from jaxtyping import Array, Int
 
+from jaxscp.backends.serving import BACKENDS
 from jaxscp.conic.program import ConicMultipliers, ConicSolution, StagedProgram, WarmStart
 from jaxscp.conic.quadratic import DEFAULT_FACETS, QuadraticProgram, quadratic_form
 from jaxscp.core.status import Status, StatusCode
@@ -123,6 +125,10 @@ class OSQP(eqx.Module):
         return ConicSolution(
             z, ConicMultipliers(*multipliers), program.objective(z), status_of(code), iterations.astype(int)
         )
+
+    def served_by(self, program: StagedProgram) -> Int[Array, ""]:
+        """Index into ``BACKENDS``: OSQP, for every program."""
+        return jnp.asarray(BACKENDS.index("OSQP"))
 
     def _on_host(self, program: StagedProgram):
         form, solution = self.solve_quadratic(program)

@@ -16,8 +16,9 @@ from collections.abc import Callable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
+from jaxscp.backends.serving import BACKENDS
 from jaxscp.core.status import StatusCode
 from jaxscp.core.types import Flag, Scalar
 from jaxscp.linalg.batched import times, transpose_times
@@ -169,6 +170,12 @@ class ConicSolution(eqx.Module):
     objective: Scalar
     status: StatusCode
     iterations: jax.Array
+
+
+def served_by(solver: "ConicSolver", program: StagedProgram) -> Int[Array, ""]:
+    """Index into ``BACKENDS`` of what a solver runs for a program; "other" for a solver that does not say."""
+    says = getattr(solver, "served_by", None)
+    return jnp.asarray(BACKENDS.index("other")) if says is None else says(program)
 
 
 ConicSolver = Callable[[StagedProgram, Scalar | float, WarmStart], ConicSolution]

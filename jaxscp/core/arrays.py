@@ -1,5 +1,6 @@
 """Arrays from plain numbers and lists, without compilation."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -33,6 +34,18 @@ def namespace(*values: Any) -> Any:
 def floats(value: Any) -> jax.Array:
     """Numbers, arrays, or nested lists of them, as an array of floats."""
     return jnp.asarray(namespace(value).asarray(value, float))
+
+
+def components(vector: jax.Array, chosen: Sequence[int]) -> jax.Array:
+    """Chosen components of a vector, by slices: compiled backends take no array of indices.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from jaxscp.core.arrays import components
+        >>> components(jnp.array([1.0, 2.0, 3.0]), (0, 2)).tolist()
+        [1.0, 3.0]
+    """
+    return jnp.stack([vector[i] for i in chosen]) if chosen else jnp.zeros(0, vector.dtype)
 
 
 def double_precision() -> bool:

@@ -6,15 +6,17 @@ differentiates its own implementation in place of these functions.
 """
 
 import contextlib
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Hashable
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
-from jaxtyping import Array, Float
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
 
 from jaxscp.backends import cuda, libraries
 from jaxscp.backends.codegen import launch, tracing
+from jaxscp.backends.serving import serving, warn_slow
 from jaxscp.integration import in_cpp, in_cuda, in_jax, in_tape
 from jaxscp.integration.intervals import IntervalData, IntervalOutputs, Intervals
 
@@ -43,10 +45,19 @@ def linearise_with_hessian(
     return _linearise_with_hessian(intervals, w, data, multipliers)
 
 
+def served_by(intervals: Intervals, w: Array, data: IntervalData, order: int) -> Int[Array, ""]:
+    """Index into ``BACKENDS`` of the implementation with derivatives up to an order."""
+    key = _key(intervals, w, data, order)
+    if key not in _AVAILABLE:
+        _implementations(intervals, w, data, order)
+    cpp, cuda = _AVAILABLE[key]
+    return serving(cpp=cpp, cuda=cuda)
+
+
 @eqx.filter_custom_jvp
 def _evaluate(intervals: Intervals, w: Array, data: IntervalData) -> IntervalOutputs:
-    cpu = _in_cpp(intervals, w, data, order=0)
-    (found,) = libraries.dispatch(cpu, lambda w, data: (in_jax.evaluate(intervals, w, data),), w, data)
+    cpp = _implementations(intervals, w, data, order=0).cpp
+    (found,) = libraries.dispatch(cpp, lambda w, data: (in_jax.evaluate(intervals, w, data),), w, data)
     return found
 
 
@@ -57,16 +68,16 @@ def _(primals, tangents):
 
 @eqx.filter_custom_jvp
 def _linearise(intervals: Intervals, w: Array, data: IntervalData) -> tuple[IntervalOutputs, IntervalOutputs]:
-    on_gpu = _in_cuda(intervals, w)
+    compiled = _implementations(intervals, w, data, order=1)
 
     def default(w, data):
         # where a kernel runs, this is a fallback for other devices: recording a tape for it would cost time
-        if on_gpu is None and jax.default_backend() != "cpu" and intervals.path_outputs.empty:
+        if compiled.cuda is None and jax.default_backend() != "cpu" and intervals.path_outputs.empty:
             with contextlib.suppress(tracing.CannotTrace):
                 return in_tape.linearise(intervals, w)
         return in_jax.linearise(intervals, w, data)
 
-    return libraries.dispatch(_in_cpp(intervals, w, data, order=1), default, w, data, cuda=on_gpu)
+    return libraries.dispatch(compiled.cpp, default, w, data, cuda=compiled.cuda)
 
 
 @_linearise.def_jvp
@@ -76,14 +87,38 @@ def _(primals, tangents):
 
 @eqx.filter_custom_jvp
 def _linearise_with_hessian(intervals: Intervals, w: Array, data: IntervalData, multipliers: IntervalOutputs):
-    cpu = _in_cpp(intervals, w, data, order=2)
+    cpp = _implementations(intervals, w, data, order=2).cpp
     default = lambda *args: in_jax.linearise_with_hessian(intervals, *args)  # noqa: E731
-    return libraries.dispatch(cpu, default, w, data, multipliers)
+    return libraries.dispatch(cpp, default, w, data, multipliers)
 
 
 @_linearise_with_hessian.def_jvp
 def _(primals, tangents):
     return eqx.filter_jvp(in_jax.linearise_with_hessian, primals, tangents)
+
+
+class _Implementations(NamedTuple):
+    """Compiled implementations; None for one that does not support the intervals."""
+
+    cpp: Callable[..., Any] | None
+    cuda: Callable[..., Any] | None
+
+
+# Whether there is (C++, CUDA) for intervals that were seen: to ask again would record the tapes again, which is slow.
+_AVAILABLE: dict[Hashable, tuple[bool, bool]] = {}
+
+
+def _implementations(intervals: Intervals, w: Array, data: IntervalData, order: int) -> _Implementations:
+    found = _Implementations(
+        _in_cpp(intervals, w, data, order), _in_cuda(intervals, w) if order == 1 else None
+    )
+    _AVAILABLE[_key(intervals, w, data, order)] = found.cpp is not None, found.cuda is not None
+    return found
+
+
+def _key(intervals: Intervals, w: Array, data: IntervalData, order: int) -> Hashable:
+    leaves, structure = jax.tree.flatten((intervals, w, data))
+    return order, structure, tuple((jnp.shape(v), jnp.result_type(v)) for v in leaves)
 
 
 def _in_cpp(intervals: Intervals, w: Array, data: IntervalData, order: int) -> Callable[..., Any] | None:
@@ -92,7 +127,8 @@ def _in_cpp(intervals: Intervals, w: Array, data: IntervalData, order: int) -> C
         return None
     try:
         tapes = in_cpp.record(intervals, w.shape[-1], data, order)
-    except tracing.CannotTrace:
+    except tracing.CannotTrace as error:
+        warn_slow(f"compiled C++ cannot integrate this problem ({error}); JAX does, and is slower")
         return None
     return lambda w, data, multipliers=None: in_cpp.integrate(intervals, tapes, w, data, multipliers, order)
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxscp.core.arrays import floats
+from jaxscp.core.arrays import components, floats
 from jaxscp.core.types import Scalar
 from jaxscp.problem.errors import InvalidProblem
 
@@ -106,7 +106,7 @@ class _Components(eqx.Module):
             raise ValueError(
                 f"fixed_state was given {self.states} values, but there are {state.shape[0]} states"
             )
-        return state[jnp.array(self.chosen, int)] - value if self.chosen else jnp.zeros(0, state.dtype)
+        return components(state, self.chosen) - value
 
 
 class _SameComponents(eqx.Module):
@@ -115,8 +115,8 @@ class _SameComponents(eqx.Module):
     chosen: tuple[int, ...] | None = eqx.field(static=True)
 
     def __call__(self, first, last, time, parameters):
-        which = slice(None) if self.chosen is None else jnp.array(self.chosen, int)
-        return last[which] - first[which]
+        change = last - first
+        return change if self.chosen is None else components(change, self.chosen)
 
 
 def fixed_state(

@@ -17,17 +17,21 @@ from jaxscp.problem.time import FixedTime
 from jaxscp.problem.trajectory import Trajectory
 
 
-def straight_line(problem: OptimalControlProblem, final_time: Scalar | float | None = None) -> Trajectory:
-    """States on a straight line between the ends, and controls as near zero as their bounds allow.
+def straight_line(
+    problem: OptimalControlProblem, final_time: Scalar | float | None = None, control: Any = None
+) -> Trajectory:
+    """States on a straight line between the ends, under constant controls.
 
     A component that is free at one end has the value of the other end; one that is free at both is zero.
 
     Args:
         problem: whose ends are given by ``fixed_state``.
         final_time: in s; by default the fixed duration, or the geometric mean of a free time's limits.
+        control: (controls,) at every node, the thrusts of hover, say; by default as near zero as the bounds allow.
 
     Raises:
-        InvalidProblem: for an end given by a function, which has no value to start from; the message names it.
+        InvalidProblem: for an end given by a function, which has no value to start from, and for another number of
+            controls; the message names the field.
 
     Example:
         >>> import jaxscp
@@ -61,7 +65,7 @@ def straight_line(problem: OptimalControlProblem, final_time: Scalar | float | N
     duration = _duration(problem) if final_time is None else final_time
     time = jnp.linspace(0.0, 1.0, nodes) * duration
     dilation = jnp.broadcast_to(jnp.asarray(duration, float), (nodes,))
-    return Trajectory(time, jnp.asarray(state), _controls(problem), dilation)
+    return Trajectory(time, jnp.asarray(state), _controls(problem, control), dilation)
 
 
 def _both(first: Any, last: Any) -> tuple[Any, Any]:
@@ -75,11 +79,14 @@ def _duration(problem: OptimalControlProblem) -> Scalar:
     return final.duration if isinstance(final, FixedTime) else jnp.sqrt(final.lower * final.upper)
 
 
-def _controls(problem: OptimalControlProblem) -> jax.Array:
-    """Zero, or the nearest value within the bounds, at every node."""
-    control = jnp.zeros(problem.dynamics.control_size)
-    for constraint in problem.constraints:
+def _controls(problem: OptimalControlProblem, given: Any) -> jax.Array:
+    """The given control; else zero, or the nearest value within the bounds, at every node."""
+    size = problem.dynamics.control_size
+    control = jnp.zeros(size) if given is None else jnp.asarray(given, float)
+    if control.shape != (size,):
+        raise InvalidProblem(f"control: expected {size} values, one for each control, got {control.shape}.")
+    for constraint in problem.constraints if given is None else ():
         for side, limit in control_bounds(constraint):
             chosen = slice(None) if side.chosen is None else jnp.array(side.chosen, int)
             control = control.at[chosen].min(limit) if side.upper else control.at[chosen].max(limit)
-    return jnp.broadcast_to(control, (problem.time.nodes, control.shape[0]))
+    return jnp.broadcast_to(control, (problem.time.nodes, size))

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 from jaxtyping import Array, Float
 
+from jaxscp.backends.serving import Backends
 from jaxscp.core.status import StatusCode
 from jaxscp.core.types import Count, Flag, Scalar
 from jaxscp.problem.form import Form
@@ -30,6 +31,8 @@ class MethodResult(eqx.Module):
     """Subproblems solved."""
     status: StatusCode
     history: History
+    backends: Backends
+    """Implementations that ran."""
 
 
 @runtime_checkable

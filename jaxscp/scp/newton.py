@@ -16,6 +16,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxscp.backends.serving import Backends
+from jaxscp.conic.program import ConicMultipliers, served_by
 from jaxscp.core import batching
 from jaxscp.core.status import Status
 from jaxscp.core.types import Flag, Scalar
@@ -34,7 +36,8 @@ from jaxscp.scp.line_search import line_search
 from jaxscp.scp.method import MethodResult
 from jaxscp.scp.second_order_correction import corrected, correction
 from jaxscp.scp.state import NewtonSettings, NewtonState
-from jaxscp.scp.subproblem import no_conic_multipliers, solve_subproblem
+from jaxscp.scp.subproblem import program_like, solve_subproblem
+from jaxscp.transcription import shooting
 from jaxscp.transcription.lagrangian import no_multipliers, residual
 from jaxscp.transcription.layout import stage_sizes
 from jaxscp.transcription.shooting import evaluate, linearise, linearise_with_hessian, total_cost
@@ -86,6 +89,8 @@ class NewtonSCP(NewtonSettings):
         """Result of the last state, with derivatives by the implicit function theorem."""
         point = implicit_solution(problem, Point(state.z, state.multipliers), self.grid, state.is_optimum)
         cost = total_cost(problem, point.z, evaluate(problem, point.z, self.grid))
+        program = program_like(problem, state.z, state.linear)
+        backends = Backends(shooting.served_by(problem, state.z, self.grid), served_by(self.conic, program))
         return MethodResult(
             z=point.z,
             cost=cost,
@@ -95,6 +100,7 @@ class NewtonSCP(NewtonSettings):
             iterations=state.iterations,
             status=state.status,
             history=state.history,
+            backends=backends,
         )
 
     def init(self, problem: ScaledTimeProblem, z: Float[Array, "nodes variables"]) -> NewtonState:
@@ -109,7 +115,7 @@ class NewtonSCP(NewtonSettings):
             linear=linear,
             hessian=hessian,
             multipliers=multipliers,
-            conic_multipliers=no_conic_multipliers(problem, z, linear),
+            conic_multipliers=ConicMultipliers.zeros(program_like(problem, z, linear)),
             merit_history=jax.tree.map(lambda v: jnp.broadcast_to(v, (MERIT_MEMORY, *v.shape)), now),
             proximal=jnp.asarray(self.proximal, z.dtype),
             full_hessian=no,

@@ -9,8 +9,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxscp.backends.serving import Backends
 from jaxscp.conic.interior_point import InteriorPoint
-from jaxscp.conic.program import ConicMultipliers, ConicSolver, WarmStart
+from jaxscp.conic.program import ConicMultipliers, ConicSolver, WarmStart, served_by
 from jaxscp.core import batching
 from jaxscp.core.status import Status, StatusCode, usable
 from jaxscp.core.types import Count, Flag, Scalar
@@ -21,7 +22,8 @@ from jaxscp.problem.scaled_time import ScaledTimeProblem
 from jaxscp.scp.history import History
 from jaxscp.scp.method import MethodResult
 from jaxscp.scp.nodal_subproblem import NormTrustRegion, TrustRegion, nodal_subproblem
-from jaxscp.transcription.discretise import Discretisation, discretise
+from jaxscp.transcription import discretise
+from jaxscp.transcription.discretise import Discretisation
 
 STAGNATION = 0.99  # ratio of virtual control, from a subproblem to the next, at which it does not vanish
 FORCING_FACTOR = 0.3  # of the accuracy, where steps do not shrink: inexact solutions can cause that
@@ -99,11 +101,15 @@ class PTR(eqx.Module):
             iterations=state.iterations,
             status=state.status,
             history=state.history,
+            backends=Backends(
+                discretise.served_by(problem, state.z, self.substeps),
+                served_by(self.conic, self._program_like(problem, state.z, state.flow)),
+            ),
         )
 
     def init(self, problem: ScaledTimeProblem, z: Float[Array, "nodes variables"]) -> PTRState:
         """State before the first subproblem, from a guess."""
-        flow = discretise(problem, z, self.substeps)
+        flow = discretise.discretise(problem, z, self.substeps)
         return PTRState(
             z=z,
             flow=flow,
@@ -112,7 +118,7 @@ class PTR(eqx.Module):
             status=Status.iteration_limit,
             done=jnp.zeros((), bool),
             history=History.zeros(self.max_iterations, z.dtype),
-            multipliers=ConicMultipliers.zeros(jax.eval_shape(lambda: self._program(problem, z, flow)[0])),
+            multipliers=ConicMultipliers.zeros(self._program_like(problem, z, flow)),
         )
 
     def step(self, problem: ScaledTimeProblem, state: PTRState) -> PTRState:
@@ -123,7 +129,7 @@ class PTR(eqx.Module):
         solution = self.conic(program, forcing, WarmStart(state.z, state.multipliers))
         good = usable(solution.status) & jnp.all(jnp.isfinite(solution.z))
         z = jnp.where(good, solution.z, state.z)
-        flow = discretise(problem, z, self.substeps)
+        flow = discretise.discretise(problem, z, self.substeps)
         virtual_control = jnp.max(jnp.linalg.norm(program.virtual_control(z), axis=1))
         step_norm = jnp.max(jnp.linalg.norm(z - state.z, axis=1))
         small_step = (step_norm < self.tolerance_step) & (forcing <= FINAL_FORCING)
@@ -165,6 +171,11 @@ class PTR(eqx.Module):
 
     def _program(self, problem: ScaledTimeProblem, z: Float[Array, "nodes variables"], flow: Discretisation):
         return nodal_subproblem(problem, z, flow, self.trust_region, self.virtual_weight)
+
+    def _program_like(
+        self, problem: ScaledTimeProblem, z: Float[Array, "nodes variables"], flow: Discretisation
+    ):
+        return jax.eval_shape(lambda: self._program(problem, z, flow)[0])
 
     def terminate(self, state: PTRState) -> Flag:
         """Whether the loop is over."""

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxscp.conic.program import ConicMultipliers, ConicSolution, WarmStart
+from jaxscp.conic.program import ConicSolution, StagedProgram, WarmStart
 from jaxscp.core.types import Flag, Scalar
 from jaxscp.problem.multipliers import Multipliers
 from jaxscp.problem.scaled_time import ScaledTimeProblem
@@ -14,6 +14,7 @@ from jaxscp.scp.interval_subproblem import has_buffer, interval_program, nlp_mul
 from jaxscp.scp.state import NewtonSettings, NewtonState
 from jaxscp.transcription.lagrangian import Merit, Residual
 from jaxscp.transcription.layout import cost_gradient, interval_variables
+from jaxscp.transcription.shooting import Linearisation
 
 FORCING_FACTOR = 0.1  # of the accuracy, from a subproblem to the next
 ROUNDING = 1e-7  # relative error of the cost at the subproblem's tolerance
@@ -99,13 +100,14 @@ def _predicted_residual(
     return Residual(cost, virtual_control, values, *ends)
 
 
-def no_conic_multipliers(problem: ScaledTimeProblem, z: Float[Array, "nodes variables"], linear):
-    """Multipliers of zero for the rows of a subproblem."""
+def program_like(
+    problem: ScaledTimeProblem, z: Float[Array, "nodes variables"], linear: Linearisation
+) -> StagedProgram:
+    """Shapes of a subproblem."""
     inputs = linear.jacobian.end.shape[-1]
     like = lambda *shape: jax.ShapeDtypeStruct((problem.nodes, *shape), z.dtype)  # noqa: E731
-    program = jax.eval_shape(
+    return jax.eval_shape(
         lambda hessian, gradient: interval_program(problem, z, linear, hessian, gradient, 1.0),
         like(inputs, inputs),
         like(inputs),
     )
-    return ConicMultipliers.zeros(program)

@@ -49,6 +49,7 @@ def conclude(
         multipliers=result.multipliers,
         certificate=certificate,
         history=_in_units(problem, result.history),
+        backends=result.backends,
         z=result.z,
         context=context,
     )

@@ -3,9 +3,13 @@
 from typing import Any
 
 import equinox as eqx
+import jax
+import numpy as np
 from jaxtyping import Array, Float
 
-from jaxscp.core.status import StatusCode
+from jaxscp.backends.serving import Backends
+from jaxscp.backends.xla import is_traced
+from jaxscp.core.status import Status, StatusCode, status_names
 from jaxscp.core.types import Count, Flag, Scalar
 from jaxscp.problem.multipliers import Multipliers
 from jaxscp.problem.trajectory import Trajectory
@@ -14,7 +18,7 @@ from jaxscp.verification.certificate import Certificate
 
 
 class Solution(eqx.Module):
-    """A planned trajectory with its checks: look at ``status`` first.
+    """A planned trajectory with its checks: look at ``status`` first. ``print(solution)`` says what happened.
 
     Values are finite, but for the certificate of a trajectory that cannot be integrated.
     """
@@ -36,7 +40,83 @@ class Solution(eqx.Module):
     """Of the dynamics, of the conditions at both ends and of the constraints; None for a method without them."""
     certificate: Certificate
     history: History
+    """Of the iterations; ``iteration_table`` prints it."""
+    backends: Backends
+    """Implementations that served: JAX, compiled C++, or a CUDA kernel."""
     z: Float[Array, "nodes variables"]
     """Node variables, in the units of the solver."""
     context: Any
     """Data that the scenario built its problem with; for a landing, the polytope of every interval."""
+
+    def iteration_table(self) -> str:
+        """One line an iteration, then one for the interior point that found the optimum.
+
+        ``|nu|`` is the largest virtual control, ``|dz|`` the largest change of a node; the interior point starts where
+        the iterations ended, so the last ``|dz|`` need not be small.
+
+        Raises:
+            ValueError: for a batch; take an element of it first.
+        """
+        if np.ndim(self.status_number()) > 0:
+            raise ValueError(
+                "a batch has no table; take one element: jax.tree.map(lambda v: v[0], solutions)"
+            )
+        rows = [_HEADINGS, *(self._row(i) for i in range(int(self.iterations)))]
+        if bool(self.differentiable):
+            steps, defect = int(self.interior_point_iterations), float(self.certificate.defect)
+            end = (
+                f"{float(self.cost):.4f}",
+                f"{float(self.final_time):.3f}",
+                "",
+                "",
+                f"{defect:.1e}",
+                str(steps),
+            )
+            rows.append(("optimum", *end))
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        return "\n".join("  ".join(c.rjust(w) for c, w in zip(row, widths, strict=True)) for row in rows)
+
+    def report(self) -> str:
+        """Status, its likely cause, cost, times, backends and certificate; of a batch, the counts of each status."""
+        names = status_names(self.status)
+        if isinstance(names, str):
+            lines = [
+                f"{names}: cost {float(self.cost):.6g}, final time {float(self.final_time):.6g}",
+                Status[self.status],
+                f"{int(self.iterations)} iterations, {int(self.interior_point_iterations)} steps of the interior point",
+                self.backends.report(),
+                self.certificate.report(),
+            ]
+            return "\n".join(lines)
+        found, counts = np.unique(names, return_counts=True)
+        lines = [
+            f"{count} {name}: {Status[getattr(Status, name)]}"
+            for name, count in zip(found, counts, strict=True)
+        ]
+        return "\n".join([f"{names.size} solutions", *lines, self.backends.report()])
+
+    def status_number(self) -> np.ndarray:
+        """The status as an integer, or integers for a batch."""
+        return np.asarray(jax.tree.leaves(self.status)[0])
+
+    def __str__(self) -> str:
+        return repr(self) if is_traced(self) or not _is_filled(self) else self.report()
+
+    def _repr_pretty_(self, printer, cycle: bool) -> None:
+        """The text that a notebook shows."""
+        printer.text(str(self))
+
+    def _row(self, index: int) -> tuple[str, ...]:
+        h = self.history
+        numbers = f"{h.cost[index]:.4f}", f"{h.final_time[index]:.3f}", f"{h.virtual_control[index]:.1e}"
+        moved = f"{h.step_norm[index]:.1e}", f"{h.defect[index]:.1e}", str(int(h.conic_iterations[index]))
+        return (str(index + 1), *numbers, *moved)
+
+
+_HEADINGS = "iteration", "cost", "final time", "|nu|", "|dz|", "defect", "Newton steps"
+
+
+def _is_filled(solution: Solution) -> bool:
+    """Whether every leaf is an array: transformations also make solutions of shapes, axes or flags."""
+    leaves = jax.tree.leaves(solution)
+    return bool(leaves) and all(isinstance(leaf, jax.Array | np.ndarray) for leaf in leaves)

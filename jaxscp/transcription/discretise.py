@@ -8,7 +8,7 @@ inverse-free form). So A, B- and B+ are the exact Jacobians of the discrete flow
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxscp.integration import dispatch, tableaus
 from jaxscp.integration.intervals import Intervals, controls_at, without_data
@@ -45,14 +45,25 @@ def discretise(
         z: reference, (nodes, variables).
         substeps: RK4 steps an interval; the error falls with their fourth power.
     """
-    w = integration_inputs(problem, z)
-    intervals = Intervals(problem.slope, problem.state_size, METHOD, substeps, substeps)
-    found, jacobian = dispatch.linearise(intervals, w, without_data(intervals, w.shape[0]))
+    found, jacobian = dispatch.linearise(*_integration(problem, z, substeps))
     cost, slope = found.cost, in_variables(problem, jacobian.cost)
     if (quadratic := QuadraticCost.of(problem)) is not None:
         variables = interval_variables(problem, z)
         cost, slope = cost + quadratic.value(variables), slope + quadratic.gradient(variables)
     return Discretisation(found.end, cost, in_variables(problem, jacobian.end), slope)
+
+
+def served_by(
+    problem: ScaledTimeProblem, z: Float[Array, "nodes variables"], substeps: int
+) -> Int[Array, ""]:
+    """Index into ``BACKENDS`` of the implementation that finds first derivatives."""
+    return dispatch.served_by(*_integration(problem, z, substeps), order=1)
+
+
+def _integration(problem: ScaledTimeProblem, z: Float[Array, "nodes variables"], substeps: int):
+    w = integration_inputs(problem, z)
+    intervals = Intervals(problem.slope, problem.state_size, METHOD, substeps, substeps)
+    return intervals, w, without_data(intervals, w.shape[0])
 
 
 def propagate(problem: ScaledTimeProblem, z: Float[Array, "nodes variables"], substeps: int):

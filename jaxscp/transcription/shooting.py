@@ -11,7 +11,7 @@ import functools
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxscp.cones.cone import Cone
 from jaxscp.core.types import Scalar
@@ -116,6 +116,12 @@ def linearise_with_hessian(
     if (quadratic := QuadraticCost.of(problem)) is not None:
         hessian += quadratic.hessian
     return _linearisation(problem, z, found, jacobian), hessian
+
+
+def served_by(problem: ScaledTimeProblem, z: Float[Array, "nodes variables"], grid: Grid) -> Int[Array, ""]:
+    """Index into ``BACKENDS`` of the implementation that finds second derivatives."""
+    data = interval_data(problem, grid)
+    return dispatch.served_by(intervals_of(problem, grid), integration_inputs(problem, z), data, order=2)
 
 
 def _linearisation(

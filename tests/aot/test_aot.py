@@ -99,6 +99,7 @@ def test_a_fresh_process_loads_and_plans_without_tracing(file, answer, tmp_path)
         np.testing.assert_array_equal(one, other)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_fresh_process_finds_the_lapack_that_a_planner_calls(scenario, tmp_path):
     in_jax = dataclasses.replace(

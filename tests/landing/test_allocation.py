@@ -47,6 +47,7 @@ def test_route_is_evenly_spaced_within_each_polytope():
     np.testing.assert_allclose(x[[0, -1]], [0.0, 9.0])
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_few_nodes_are_enough_to_land():
     """The cone's nodes must not belong to polytopes that the cone does not reach."""

@@ -109,6 +109,7 @@ def planned():
     return floats, jax.jit(with_gradients)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_translating_the_whole_scene_changes_nothing(planned):
     floats, plan = planned
@@ -211,6 +212,7 @@ def test_gradients_are_differences_of_plans_made_again(planned, leaf, h):
     np.testing.assert_allclose(found, slope, rtol=DIFFERENCES, atol=1e-5)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_lane_without_derivative_says_so_and_harms_no_other():
     """The second vehicle is too heavy for its rotors: its gradient is NaN, and zero where masked."""

@@ -336,6 +336,7 @@ def test_functions_are_checked_on_request(cost, message):
         js.solve(asked, js.straight_line(asked), check=True)
 
 
+@pytest.mark.slow
 def test_an_invalid_element_of_a_batch_is_undefined_and_disturbs_no_other():
     """NaN in every float; the others equal single calls."""
 
@@ -364,6 +365,7 @@ def test_numbers_are_taken_as_python_numpy_and_jax_make_them():
     np.testing.assert_allclose(costs, 2.0 * 12.0 * 4.0 / 8.0, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_an_empty_range_in_a_batch_is_invalid():
     def fastest(longest):
         asked = double_integrator(

@@ -40,6 +40,7 @@ def test_optimal_by_ipopts_account_and_safe_between_nodes(mission):
         assert abs(float(solution.cost) / best - 1.0) < SAME_COST
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_batch_elements_end_as_they_do_alone():
     """Three vehicles; the second is too heavy for its rotors."""
@@ -72,6 +73,7 @@ def ascent():
     return setup(scenarios.ascent_to_platform())[:2]
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_coarse_subproblems_lead_to_an_optimum_of_the_same_cost(ascent):
     run = by_forcing(lambda method: method.run(*ascent))

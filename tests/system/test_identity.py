@@ -120,6 +120,7 @@ def test_arrays_inside_a_jit_are_told_apart(with_folder, tmp_path):
     assert previous is None
 
 
+@pytest.mark.slow
 def test_derivatives_and_batches_over_a_closed_over_number():
     """The cost is k times a constant."""
 

@@ -48,6 +48,7 @@ def both():
     return solve
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_every_iterate_costs_the_same(both, case):
     ours, theirs = both(case)

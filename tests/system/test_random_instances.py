@@ -33,6 +33,7 @@ def test_plans_land_where_they_say(seed):
         assert np.all(np.isfinite(leaf))
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_coarse_subproblems_end_where_exact_ones_do():
     scenarios = random_instances(jax.random.key(2), 50)

@@ -47,6 +47,7 @@ def test_a_plan_off_its_ends_returns_to_them(plan, scenario):
     assert_replans(plan, scenario)
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.parametrize("case", ["platform_to_platform", "ascent_to_platform"])
 def test_random_ends_replan(case):
