@@ -1,7 +1,7 @@
 """The gallery: one optimal control problem a file, each with the value that it must reach.
 
-``python -m examples.NAME`` solves one, compares it with its reference, and draws ``pictures/gallery/NAME.png``. Every
-file has these names:
+``python -m examples.NAME`` solves one, compares it with its reference, and draws ``docs/pictures/gallery/NAME.png``.
+Every file has these names:
 
 - ``problem(number)``: the problem, as a function of one number that a study may vary;
 - ``guess(problem)``: where the solver starts;

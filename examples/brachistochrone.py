@@ -47,7 +47,7 @@ REFERENCE = exact(closed_form(9.81), "cycloid")
 
 def draw(solution):
     """The slide, from the top left, beside the cycloid."""
-    angle = History("angle from the vertical in rad", lambda x, u: u[:, 0], limits=(0.0, np.pi))
+    angle = History("angle in rad", lambda x, u: u[:, 0], limits=(0.0, np.pi))
     speed = History("speed in m/s", lambda x, u: x[:, 2])
     figure, path = page(problem(), solution, ("along in m", "down in m"), [angle, speed])
     path.invert_yaxis()

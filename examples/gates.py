@@ -60,7 +60,7 @@ def draw(solution):
     )
     speed = History("speed in m/s", lambda x, u: jnp.linalg.norm(x[:, 3:6], axis=1))
     figure, path = page(problem(), solution, ("x in m", "y in m", "z in m"), [thrust, speed])
-    path.scatter(*GATES.T, s=60, facecolor="none", edgecolor="0.4", label="gates")
+    path.scatter(*GATES.T, s=60, facecolor="none", edgecolor="0.4", depthshade=False)
     return figure
 
 

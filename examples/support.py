@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 import jaxscp as js
 
-PICTURES = Path(__file__).parents[1] / "pictures" / "gallery"
+PICTURES = Path(__file__).parents[1] / "docs" / "pictures" / "gallery"
 ANALYTIC = 1e-4  # relative: nodes are many enough for it
 BEST_OF_IPOPT = 1e-3  # relative
 

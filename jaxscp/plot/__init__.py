@@ -1,8 +1,8 @@
 """Pictures of a plan: its path, its histories, and the convergence of the iterations.
 
 ``summary``, ``scene`` and ``histories`` make figures; all other functions draw on axes that they are given and return
-them. Nothing here touches pyplot, so that importing and plotting change no global state. Lines between nodes are the flight
-that the certificate flies (controls re-integrated, no correction), not an interpolation: where a plan cuts a
+them. Nothing here touches pyplot, so that importing and plotting change no global state. Lines between nodes are the
+flight that the certificate flies (controls integrated again, no correction), not an interpolation: where a plan cuts a
 corner between two nodes, the picture shows it. Dots are the planned nodes.
 """
 

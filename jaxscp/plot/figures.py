@@ -1,7 +1,8 @@
 """Figures at the width of a paper's column."""
 
-from typing import cast
+from typing import Any, cast
 
+import numpy as np
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import Axes3D
 
@@ -60,7 +61,7 @@ def histories(scenario: LandingScenario, solution: Solution) -> Figure:
     """
     figure = Figure(figsize=(COLUMN, 1.6 * COLUMN), dpi=DPI)
     grid = figure.add_gridspec(5, 1, left=0.15, right=0.76, bottom=0.07, top=0.985, hspace=0.14)
-    axes = grid.subplots(sharex=True)
+    axes = list(np.ravel(grid.subplots(sharex=True)))  # pyright: ignore[reportCallIssue, reportArgumentType]
     draw_histories(axes, scenario, integrated(scenario, solution), planned(solution))
     for ax in axes:
         _small(ax)
@@ -71,13 +72,13 @@ def histories(scenario: LandingScenario, solution: Solution) -> Figure:
     return figure
 
 
-def _small(ax) -> None:
+def _small(ax: Any) -> None:
     """Texts of 6 points."""
     ax.tick_params(labelsize=6, pad=0 if isinstance(ax, Axes3D) else 2)
     for axis in (ax.xaxis, ax.yaxis, *((ax.zaxis,) if isinstance(ax, Axes3D) else ())):
         axis.label.set_size(6.5)
         if isinstance(ax, Axes3D):
             axis.labelpad = -8
-    if ax.get_legend() is not None:
-        for text in ax.get_legend().get_texts():
+    if (legend := ax.get_legend()) is not None:
+        for text in legend.get_texts():
             text.set_fontsize(5.5)

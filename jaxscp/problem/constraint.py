@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxscp.cones.cone import Cone
@@ -55,6 +56,11 @@ class AcrossIntervals(Where):
     across: ClassVar[bool] = True
 
 
+def _flags(active: Any) -> Any:
+    """Flags as JAX's array, from a list or a NumPy array."""
+    return jnp.asarray(active, bool) if isinstance(active, list | tuple | np.ndarray) else active
+
+
 class Constraint(eqx.Module):
     """``function(state, control, time, parameters)`` lies in ``cone``.
 
@@ -84,7 +90,7 @@ class Constraint(eqx.Module):
     cone: Cone
     parameters: Any = ()
     per_node: bool = eqx.field(default=False, static=True)
-    active: Bool[Array, "nodes"] | None = None
+    active: Bool[Array, "nodes"] | None = eqx.field(default=None, converter=_flags)
     where: Where = Throughout()
     convex: bool = eqx.field(default=False, static=True)
     tolerance: Scalar | float | None = None

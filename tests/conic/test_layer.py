@@ -137,6 +137,7 @@ def test_slopes_are_differences(seed, norm):
     close(slopes, jax.tree.map(lambda a, b: (a - b) / 2e-5, forwards, backwards), DIFFERENCES)
 
 
+@pytest.mark.slow
 @kinds
 def test_reverse_mode_is_the_transpose_of_forward_mode(norm):
     program = random_program(7, norm=norm)
@@ -269,6 +270,7 @@ def test_only_the_direction_that_is_not_unique_has_no_slope(slopes):
     close((z.target, cost.target), ([[0.0, 1.0], [1.0, 0.0]], ENOUGH[3] * ENOUGH[0]), PATH)
 
 
+@pytest.mark.slow
 def test_masked_batch_elements_have_zero_slopes_and_do_no_harm():
     def masked(batch):
         (*_, costs), (_, differentiable) = jax.vmap(solved)(batch)
@@ -278,6 +280,7 @@ def test_masked_batch_elements_have_zero_slopes_and_do_no_harm():
     close(gradient.target, [0.0, ENOUGH[3] * ENOUGH[0], 0.0], PATH)
 
 
+@pytest.mark.slow
 def test_redundant_links_do_no_harm():
     """The target twice, and rows of zeros elsewhere: only the multipliers are not unique."""
     program = smallest_program()

@@ -47,7 +47,15 @@ SHAPES = {
 
 
 # covered by the other shapes
-SLOW_SHAPES = ("links fill a pack", "links begin a pack", "three packs", "a link fills a register")
+SLOW_SHAPES = (
+    "links fill a pack",
+    "links begin a pack",
+    "three packs",
+    "a link fills a register",
+    "a link fills three",
+    "two nodes",
+    "more entries than 16 bits count",
+)
 
 
 @pytest.mark.parametrize(

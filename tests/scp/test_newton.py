@@ -21,6 +21,7 @@ MISSIONS = {"platform": scenarios.platform_to_platform, "ascend": scenarios.asce
 SAME_COST = 2e-3
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.parametrize("mission", MISSIONS)
 def test_optimal_by_ipopts_account_and_safe_between_nodes(mission):
@@ -85,6 +86,7 @@ def test_coarse_subproblems_lead_to_an_optimum_of_the_same_cost(ascent):
     np.testing.assert_allclose(coarse.cost, exact.cost, rtol=SAME_COST)
 
 
+@pytest.mark.slow
 def test_no_iterations_end_by_a_coarse_subproblem(ascent):
     """At tolerance 1e9 the subproblem makes no step; this must not count as convergence."""
     problem, z = ascent

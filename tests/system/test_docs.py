@@ -60,7 +60,7 @@ def test_every_block_of_the_page_runs(page, tmp_path, monkeypatch):
         else:
             assert language == "", f"{page}: a block in {language!r} is not run"
     for name, value in namespace.items():
-        if isinstance(value, jaxscp.Solution) and value.status.shape == ():
+        if isinstance(value, jaxscp.Solution) and value.cost.shape == ():
             assert jaxscp.status_names(value.status) == "converged", name
 
 

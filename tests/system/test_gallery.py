@@ -17,13 +17,13 @@ STEP = 1e-3  # of differences, relative to the number
 BATCH = 16
 MOST_LINES = 25
 
-QUICK = {"minimum_energy"}  # each other one compiles for more than a few seconds
+# Each compiles for more than a few seconds; ``test_own_problems`` has problems like those that run by night.
+MARKS = {"minimum_energy": (), "gates": (pytest.mark.slow,), "rocket_landing": (pytest.mark.slow,)}
+BY_NIGHT = pytest.mark.slow, pytest.mark.nightly
 EVERY = pytest.mark.parametrize(
-    "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in GALLERY]
+    "name", [pytest.param(name, marks=MARKS.get(name, BY_NIGHT)) for name in GALLERY]
 )
-NIGHTLY = pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=(pytest.mark.slow, pytest.mark.nightly)) for name in GALLERY]
-)
+NIGHTLY = pytest.mark.parametrize("name", [pytest.param(name, marks=BY_NIGHT) for name in GALLERY])
 
 
 def solved(module, number, guess):
@@ -45,9 +45,15 @@ def test_example_reaches_its_reference(name):
     assert module.draw(solution).axes
 
 
+def from_the_optimum(name):
+    """A request that starts at the optimum: from elsewhere, neighbouring problems may end at other local optima."""
+    module, number, guess = request_of(name)
+    return module, number, solved(module, number, guess)
+
+
 @NIGHTLY
 def test_batch_equals_single_calls(name):
-    module, number, guess = request_of(name)
+    module, number, guess = from_the_optimum(name)
     numbers = number * np.linspace(0.97, 1.03, BATCH)
     batch = jax.vmap(lambda v: solved(module, v, guess))(jnp.asarray(numbers))
     singles = [solved(module, float(v), guess) for v in numbers]
@@ -57,7 +63,7 @@ def test_batch_equals_single_calls(name):
 
 @NIGHTLY
 def test_gradient_agrees_with_differences(name):
-    module, number, guess = request_of(name)
+    module, number, guess = from_the_optimum(name)
     cost = lambda v: solved(module, v, guess).cost  # noqa: E731
     gradient, step = jax.grad(cost)(number), STEP * number
     difference = (cost(number + step) - cost(number - step)) / (2.0 * step)

@@ -66,6 +66,7 @@ def test_the_same_problem_traces_nothing():
     assert len(traced) == before
 
 
+@pytest.mark.slow
 def test_another_number_inside_a_function_is_another_program():
     costs = [
         float(js.solve(double_integrator(js.Cost(lambda x, u, t, p, k=k: k * u @ u), TIME), GUESS).cost)
@@ -99,6 +100,7 @@ def drift_cost(constant):
     return EXACT + 2.0 * constant**2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("with_folder", [False, True])
 def test_arrays_inside_a_jit_are_told_apart(with_folder, tmp_path):
     """Also by the cache's folder."""

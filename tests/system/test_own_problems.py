@@ -17,7 +17,7 @@ STEP = 1e-3  # of differences, relative to the number
 BATCH = 16
 
 # Each case compiles for ten seconds or more. Two stand for all in the short tests.
-SHORT = {"Dubins", "periodic"}
+SHORT = {"Dubins"}
 EVERY_CASE = pytest.mark.parametrize(
     "name", [name if name in SHORT else pytest.param(name, marks=pytest.mark.slow) for name in CASES]
 )
