@@ -76,7 +76,7 @@ def _small(ax: Any) -> None:
     """Texts of 6 points."""
     ax.tick_params(labelsize=6, pad=0 if isinstance(ax, Axes3D) else 2)
     for axis in (ax.xaxis, ax.yaxis, *((ax.zaxis,) if isinstance(ax, Axes3D) else ())):
-        axis.label.set_size(6.5)
+        axis.label.set_size(6.5)  # pyright: ignore[reportAttributeAccessIssue]
         if isinstance(ax, Axes3D):
             axis.labelpad = -8
     if (legend := ax.get_legend()) is not None:

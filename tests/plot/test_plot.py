@@ -52,6 +52,7 @@ def labelled(ax):
 
 def test_every_panel_is_labelled_with_its_unit(panels, scene):
     assert list(panels) == [
+        "y [m]",  # of the view from above
         "cost",
         "flight time [s]",
         "largest norm (SI)",
@@ -132,6 +133,26 @@ def test_margin_ignores_padding():
     corridor = jaxscp.corridor.connect([small, more_faces], joints=[[1.0, 1.0, 1.0]])
     curves = plot.Curves(np.zeros(1), np.full((1, 13), 4.5), np.zeros((1, 4)), np.zeros(1, int))
     assert plot.corridor_margin(corridor, curves).tolist() == [4.5]
+
+
+def curves_through(*points):
+    states = np.zeros((len(points), 13))
+    states[:, :3] = points
+    return plot.Curves(np.zeros(len(points)), states, np.zeros((len(points), 4)), np.zeros(len(points), int))
+
+
+def test_the_union_has_no_wall_where_polytopes_overlap():
+    first = jaxscp.corridor.box([0.0] * 3, [2.0] * 3)
+    second = jaxscp.corridor.box([1.0, 0.0, 0.0], [4.0, 2.0, 2.0])
+    corridor = jaxscp.corridor.connect([first, second], joints=[[1.5, 1.0, 1.0]])
+    curves = curves_through([0.5, 1.0, 1.0], [1.9, 1.0, 1.0], [5.0, 1.0, 1.0])
+    np.testing.assert_allclose(plot.union_margin(corridor, curves), [0.5, 0.9, -1.0])
+
+
+def test_the_margin_of_a_ball_is_the_distance_less_the_radius():
+    zones = jaxscp.ellipsoids([[0.0, 0.0, 0.0], [9.0, 0.0, 0.0]], 0.5)
+    curves = curves_through([2.0, 1.0, 0.0], [9.0, 0.0, 0.2])
+    np.testing.assert_allclose(plot.zone_margin(zones, curves), [np.sqrt(5.0) - 0.5, -0.3])
 
 
 def test_summary_renders(figure, tmp_path):

@@ -167,6 +167,7 @@ class _Interpreter:
             "div": graph.quotient,
             "neg": graph.negative,
             "square": lambda a: graph.product(a, a),
+            "one_minus_square": lambda a: graph.difference(graph.leaf("constant", 1.0), graph.product(a, a)),
             "select_n": graph.choice,
         }
         if name == "select_n" and len(inputs) != 3:
