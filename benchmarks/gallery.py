@@ -23,7 +23,7 @@ from examples.support import BEST_OF_IPOPT  # noqa: E402
 
 
 def solved(name: str) -> dict[str, Any]:
-    """Figures of one example; the time is that of a second call."""
+    """Figures of one example. A second call is timed."""
     module = example(name)
     problem = module.problem()
     guess = module.guess(problem)

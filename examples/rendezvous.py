@@ -44,7 +44,7 @@ def guess(problem):
 
 
 def closed_form(rate):
-    """d' W^-1 d: W is the Gramian, and d is what the free motion from the start lacks."""
+    """d' W^-1 d: W is the Gramian. d is the end less the free motion from the start."""
     zero, one = np.zeros((3, 3)), np.eye(3)
     spin = np.array([[0.0, 2.0 * rate, 0.0], [-2.0 * rate, 0.0, 0.0], [0.0, 0.0, 0.0]])
     a, b = np.block([[zero, one], [np.diag([3.0 * rate**2, 0.0, -(rate**2)]), spin]]), np.vstack([zero, one])

@@ -1,4 +1,4 @@
-"""What the examples share: references, and the report of a script."""
+"""References of the examples, and the report of a script."""
 
 from pathlib import Path
 from typing import NamedTuple

@@ -19,8 +19,9 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Int
 
-from jaxscp.backends.serving import warn_slow
+from jaxscp.backends.serving import index_of, warn_slow
 from jaxscp.backends.sources import SHARED, digest
 
 LEVELS = ("v4", "v3", "any")
@@ -52,6 +53,17 @@ def dispatch(
         return cpu(*args)
     compiled = {name: found for name, found in (("cpu", cpu), ("cuda", cuda)) if found is not None}
     return jax.lax.platform_dependent(*args, **compiled, default=default) if compiled else default(*args)
+
+
+def serving(*, cpp: bool, cuda: bool) -> Int[Array, ""]:
+    """Index into ``BACKENDS`` of the implementation that ``dispatch`` chooses.
+
+    Args:
+        cpp: whether there is compiled C++, for a CPU.
+        cuda: whether there is a kernel, for an NVIDIA GPU.
+    """
+    jax_, cpp_, cuda_ = (functools.partial(index_of, name) for name in ("JAX", "C++", "CUDA"))
+    return dispatch(cpp_ if cpp else None, jax_, cuda=cuda_ if cuda else None)
 
 
 class Library(NamedTuple):
@@ -107,7 +119,7 @@ def level(stem: Path, handler: str, platform: str = "cpu") -> str | None:
     if not any(_file(stem, name).exists() for name in LEVELS):
         warn_slow(
             "no compiled C++ is installed, and JAX is up to 13 times slower; install a C++ compiler (GCC 12, Clang 15, "
-            "or newer), then jaxscp again; `jaxscp info` lists what serves"
+            "or newer), then jaxscp again"
         )
     return None
 

@@ -3,7 +3,6 @@
 import warnings
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int
@@ -32,28 +31,18 @@ class Backends(eqx.Module):
     conic: Int[Array, "*batch"]
     """Of the subproblems."""
 
+    def names(self) -> dict[str, str]:
+        """Name of each implementation; of a batch, of its first element, as all elements have the same."""
+        return {part: BACKENDS[np.ravel(index)[0]] for part, index in vars(self).items()}
+
     def report(self) -> str:
-        """One line for people; of a batch, the first element, as all elements have the same."""
-        integration, conic = (BACKENDS[np.ravel(code)[0]] for code in (self.integration, self.conic))
-        return f"integration: {integration}; conic step: {conic}"
+        """One line for people."""
+        return "integration: {integration}; conic step: {conic}".format(**self.names())
 
 
-def serving(*, cpp: bool, cuda: bool) -> Int[Array, ""]:
-    """Index of the implementation for the device that runs the program, as ``libraries.dispatch`` chooses it.
-
-    Args:
-        cpp: whether there is compiled C++, for a CPU.
-        cuda: whether there is a kernel, for an NVIDIA GPU.
-    """
-    code = lambda name: jnp.asarray(BACKENDS.index(name))  # noqa: E731
-    if cpp and jax.default_backend() == "cpu":
-        return code("C++")
-    compiled = {}
-    if cpp:
-        compiled["cpu"] = lambda: code("C++")
-    if cuda:
-        compiled["cuda"] = lambda: code("CUDA")
-    return jax.lax.platform_dependent(default=lambda: code("JAX"), **compiled) if compiled else code("JAX")
+def index_of(name: str) -> Int[Array, ""]:
+    """Index of an implementation into ``BACKENDS``."""
+    return jnp.asarray(BACKENDS.index(name))
 
 
 def warn_slow(message: str) -> None:

@@ -9,7 +9,6 @@ import jax
 import numpy as np
 from rich.console import Console
 
-from jaxscp.backends.serving import BACKENDS
 from jaxscp.core.status import Status, status_names
 from jaxscp.corridor.map_report import MapReport
 from jaxscp.landing.scenario import LandingScenario
@@ -55,7 +54,7 @@ def report(solution: Solution, timing: Timing) -> dict[str, Any]:
         "compile_seconds": timing.compile,
         "defect": plain(certificate.defect),
         "violation": plain(certificate.violation),
-        "backends": {name: BACKENDS[int(code)] for name, code in vars(solution.backends).items()},
+        "backends": solution.backends.names(),
         "optimality": None if certificate.optimality is None else plain(certificate.optimality),
         "end_error": {
             "position": plain(certificate.error("final position")),

@@ -19,8 +19,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from jaxscp.backends.libraries import dispatch
-from jaxscp.backends.serving import serving
+from jaxscp.backends.libraries import dispatch, serving
 from jaxscp.cones.product import ConeVector
 from jaxscp.conic import conic_form, native
 from jaxscp.conic.conic_form import Primal

@@ -20,7 +20,7 @@ import numpy as np
 import scipy
 from jaxtyping import Array, Int
 
-from jaxscp.backends.serving import BACKENDS
+from jaxscp.backends.serving import index_of
 from jaxscp.conic.program import ConicMultipliers, ConicSolution, StagedProgram, WarmStart
 from jaxscp.conic.quadratic import DEFAULT_FACETS, QuadraticProgram, quadratic_form
 from jaxscp.core.status import Status, StatusCode
@@ -128,7 +128,7 @@ class OSQP(eqx.Module):
 
     def served_by(self, program: StagedProgram) -> Int[Array, ""]:
         """Index into ``BACKENDS``: OSQP, for every program."""
-        return jnp.asarray(BACKENDS.index("OSQP"))
+        return index_of("OSQP")
 
     def _on_host(self, program: StagedProgram):
         form, solution = self.solve_quadratic(program)

@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from jaxscp.backends.serving import BACKENDS
+from jaxscp.backends.serving import index_of
 from jaxscp.core.status import StatusCode
 from jaxscp.core.types import Flag, Scalar
 from jaxscp.linalg.batched import times, transpose_times
@@ -173,9 +173,9 @@ class ConicSolution(eqx.Module):
 
 
 def served_by(solver: "ConicSolver", program: StagedProgram) -> Int[Array, ""]:
-    """Index into ``BACKENDS`` of what a solver runs for a program; "other" for a solver that does not say."""
+    """Index into ``BACKENDS`` of what a solver runs for a program. A solver without ``served_by`` has "other"."""
     says = getattr(solver, "served_by", None)
-    return jnp.asarray(BACKENDS.index("other")) if says is None else says(program)
+    return index_of("other") if says is None else says(program)
 
 
 ConicSolver = Callable[[StagedProgram, Scalar | float, WarmStart], ConicSolution]

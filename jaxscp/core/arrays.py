@@ -36,8 +36,8 @@ def floats(value: Any) -> jax.Array:
     return jnp.asarray(namespace(value).asarray(value, float))
 
 
-def components(vector: jax.Array, chosen: Sequence[int]) -> jax.Array:
-    """Chosen components of a vector, by slices: compiled backends take no array of indices.
+def components(vector: jax.Array, chosen: Sequence[int] | None) -> jax.Array:
+    """Chosen components of a vector, or all (None), by slices: compiled backends take no array of indices.
 
     Example:
         >>> import jax.numpy as jnp
@@ -45,6 +45,8 @@ def components(vector: jax.Array, chosen: Sequence[int]) -> jax.Array:
         >>> components(jnp.array([1.0, 2.0, 3.0]), (0, 2)).tolist()
         [1.0, 3.0]
     """
+    if chosen is None:
+        return vector
     return jnp.stack([vector[i] for i in chosen]) if chosen else jnp.zeros(0, vector.dtype)
 
 

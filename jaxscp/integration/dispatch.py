@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxscp.backends import cuda, libraries
 from jaxscp.backends.codegen import launch, tracing
-from jaxscp.backends.serving import serving, warn_slow
+from jaxscp.backends.serving import warn_slow
 from jaxscp.integration import in_cpp, in_cuda, in_jax, in_tape
 from jaxscp.integration.intervals import IntervalData, IntervalOutputs, Intervals
 
@@ -51,7 +51,7 @@ def served_by(intervals: Intervals, w: Array, data: IntervalData, order: int) ->
     if key not in _AVAILABLE:
         _implementations(intervals, w, data, order)
     cpp, cuda = _AVAILABLE[key]
-    return serving(cpp=cpp, cuda=cuda)
+    return libraries.serving(cpp=cpp, cuda=cuda)
 
 
 @eqx.filter_custom_jvp

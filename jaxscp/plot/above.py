@@ -43,8 +43,6 @@ def _draw_shadows(ax: Axes, zones: Ellipsoids | None, color: str) -> None:
     around = np.linspace(0.0, 2.0 * np.pi, 60)
     circle = np.stack([np.cos(around), np.sin(around)], axis=1)
     for centre, shape in zip(np.asarray(zones.centres), np.asarray(zones.shapes), strict=True):
-        semi_axes = np.linalg.inv(shape)[
-            :2
-        ]  # image of the ball; its shadow has the square root of this product
+        semi_axes = np.linalg.inv(shape)[:2]  # image of the ball; its shadow has the root of this product
         root = np.linalg.cholesky(semi_axes @ semi_axes.T)
         ax.add_patch(Polygon(centre[:2] + circle @ root.T, color=color, alpha=0.35, linewidth=0, zorder=3))

@@ -40,5 +40,5 @@ def hidden(
     near = KDTree(obstacles @ plane.T).query_ball_point(path @ plane.T, _REACH * max(spacing, 1e-9))
     depth, of_path = obstacles @ viewer, path @ viewer
     return np.array(
-        [bool(np.any(depth[rows] > here + spacing)) for rows, here in zip(near, of_path, strict=True)]
+        [bool(np.any(depth[rows] >= here + spacing)) for rows, here in zip(near, of_path, strict=True)]
     )

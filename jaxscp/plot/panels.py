@@ -53,10 +53,8 @@ def draw_body_rate(ax: Axes, curves: Curves, nodes: Curves, limit: Scalar | None
 
 def draw_thrusts(ax: Axes, scenario: LandingScenario, curves: Curves, nodes: Curves) -> Axes:
     """Rotor thrusts in N: a band from the least to the greatest, their mean, and the limits of all rotors."""
-    ax.fill_between(
-        curves.time, curves.control.min(axis=1), curves.control.max(axis=1), color=SKY, alpha=0.45, linewidth=0,
-        label="all rotors",
-    )  # fmt: skip
+    least, most = curves.control.min(axis=1), curves.control.max(axis=1)
+    ax.fill_between(curves.time, least, most, color=SKY, alpha=0.45, linewidth=0, label="all rotors")
     ax.plot(curves.time, curves.control.mean(axis=1), color=BLUE, linewidth=1.5, label="mean")
     ax.plot(nodes.time, nodes.control.mean(axis=1), "o", color=BLACK, markersize=3)
     limits = {*np.asarray(scenario.airframe.thrust_min), *np.asarray(scenario.airframe.thrust_max)}

@@ -115,8 +115,7 @@ class _SameComponents(eqx.Module):
     chosen: tuple[int, ...] | None = eqx.field(static=True)
 
     def __call__(self, first, last, time, parameters):
-        change = last - first
-        return change if self.chosen is None else components(change, self.chosen)
+        return components(last - first, self.chosen)
 
 
 def fixed_state(

@@ -39,7 +39,7 @@ class WithinBounds(eqx.Module):
             if side.chosen is not None and side.size != vector.shape[0]:
                 which = "controls" if side.of_control else "states"
                 raise ValueError(f"bounds was given {side.size} limits of {vector.shape[0]} {which}")
-            part = vector if side.chosen is None else components(vector, side.chosen)
+            part = components(vector, side.chosen)
             rows.append(limit - part if side.upper else part - limit)
         return jnp.concatenate(rows)
 

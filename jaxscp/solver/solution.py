@@ -57,7 +57,7 @@ class Solution(eqx.Module):
         Raises:
             ValueError: for a batch; take an element of it first.
         """
-        if np.ndim(self.status_number()) > 0:
+        if np.ndim(self.cost) > 0:
             raise ValueError(
                 "a batch has no table; take one element: jax.tree.map(lambda v: v[0], solutions)"
             )
@@ -94,10 +94,6 @@ class Solution(eqx.Module):
             for name, count in zip(found, counts, strict=True)
         ]
         return "\n".join([f"{names.size} solutions", *lines, self.backends.report()])
-
-    def status_number(self) -> np.ndarray:
-        """The status as an integer, or integers for a batch."""
-        return np.asarray(jax.tree.leaves(self.status)[0])
 
     def __str__(self) -> str:
         return repr(self) if is_traced(self) or not _is_filled(self) else self.report()

@@ -1,4 +1,4 @@
-"""What a solution says of itself."""
+"""Texts of a solution, and the backends that served."""
 
 import equinox as eqx
 import jax

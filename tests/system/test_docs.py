@@ -21,7 +21,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 RUNNABLE = ("python", "sh")
 SLOW = [pytest.mark.slow]
 NIGHTLY = [pytest.mark.slow, pytest.mark.nightly]
-MARKS = {  # of pages that compile for more than some seconds; by night, those that compile what the README compiles
+MARKS = {  # pages that compile for more than some seconds; pages that compile the same as the README run by night
     "README.md": SLOW,
     "docs/problems.md": SLOW,
     "docs/first_plan.md": SLOW,
