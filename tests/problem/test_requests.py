@@ -336,7 +336,7 @@ def test_functions_are_checked_on_request(cost, message):
         js.solve(asked, js.straight_line(asked), check=True)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_an_invalid_element_of_a_batch_is_undefined_and_disturbs_no_other():
     """NaN in every float; the others equal single calls."""
 

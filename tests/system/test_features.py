@@ -69,6 +69,7 @@ def test_final_time_apart_from_the_dilation():
     np.testing.assert_allclose(solution.final_time, 1.5, rtol=EXACT)
 
 
+@pytest.mark.slow
 def test_integral_constraint():
     """The fastest motion at an energy of 1.5 takes 2 s."""
     spends = js.with_integral(js.DoubleIntegrator(1), lambda x, u, t, p: u @ u)
@@ -155,6 +156,7 @@ def test_reference_that_changes_from_node_to_node():
     np.testing.assert_allclose(solved(problem).cost, sine_cost(0.3), rtol=2e-3)
 
 
+@pytest.mark.slow
 def test_a_terminal_cost_that_is_not_affine_in_time():
     """t + 9 / t is least at 3 s."""
     problem = js.OptimalControlProblem(

@@ -48,7 +48,6 @@ def test_a_plan_off_its_ends_returns_to_them(plan, scenario):
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 @pytest.mark.parametrize("case", ["platform_to_platform", "ascent_to_platform"])
 def test_random_ends_replan(case):
     """Either end moved by 1 mm to 0.3 m, and turned by 0.1 to 180 degrees, wherever a fresh plan converges."""
@@ -71,6 +70,7 @@ def test_random_ends_replan(case):
     assert tried >= 15
 
 
+@pytest.mark.slow
 def test_residuals_of_the_ends_count():
     """A trajectory whose dynamics hold, but whose start does not, is neither feasible nor free of merit."""
     from jaxscp.transcription.lagrangian import Merit, no_multipliers, residual
