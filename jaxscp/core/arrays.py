@@ -36,6 +36,21 @@ def floats(value: Any) -> jax.Array:
     return jnp.asarray(namespace(value).asarray(value, float))
 
 
+def as_floats(value: Any) -> Any:
+    """Plain numbers, NumPy arrays and lists as an array of floats; arrays of JAX, None and others stay as they are.
+
+    Example:
+        >>> import numpy as np
+        >>> from jaxscp.core.arrays import as_floats
+        >>> as_floats(np.float64(2.0)).shape, as_floats([1, 2]).tolist(), as_floats(None)
+        ((), [1.0, 2.0], None)
+    """
+    plain = isinstance(value, (int, float, np.number, np.ndarray, list, tuple)) and not isinstance(
+        value, bool
+    )
+    return floats(value) if plain else value
+
+
 def components(vector: jax.Array, chosen: Sequence[int] | None) -> jax.Array:
     """Chosen components of a vector, or all (None), by slices: compiled backends take no array of indices.
 

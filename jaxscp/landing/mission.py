@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxscp.core.arrays import floats, namespace
+from jaxscp.core.arrays import as_floats, floats, namespace
 from jaxscp.core.types import Points, Quaternion, Scalar, Vector3
 from jaxscp.corridor.polytopes import Corridor
 from jaxscp.dynamics import rotations
@@ -19,13 +19,13 @@ from jaxscp.dynamics.airframes import Airframe
 class BodyState(eqx.Module):
     """Position, velocity, attitude and body rate of a vehicle."""
 
-    position: Vector3
+    position: Vector3 = eqx.field(converter=as_floats)
     """m, world."""
-    velocity: Vector3
+    velocity: Vector3 = eqx.field(converter=as_floats)
     """m/s, world."""
-    attitude: Quaternion
+    attitude: Quaternion = eqx.field(converter=as_floats)
     """(w, x, y, z), body to world, unit norm."""
-    body_rate: Vector3
+    body_rate: Vector3 = eqx.field(converter=as_floats)
     """rad/s, body."""
 
     def vector(self) -> Float[Array, "13"]:
@@ -48,11 +48,11 @@ def at_rest(position, yaw: Scalar | float = 0.0) -> BodyState:
 class Components(eqx.Module):
     """Which components of a ``BodyState`` are fixed: one where fixed, zero where free; (3,) each."""
 
-    position: Vector3
-    velocity: Vector3
-    attitude: Vector3
+    position: Vector3 = eqx.field(converter=as_floats)
+    velocity: Vector3 = eqx.field(converter=as_floats)
+    attitude: Vector3 = eqx.field(converter=as_floats)
     """By the three components of the rotation from the state asked for, in its own axes: roll, pitch, yaw."""
-    body_rate: Vector3
+    body_rate: Vector3 = eqx.field(converter=as_floats)
 
     def vector(self) -> Float[Array, "12"]:
         """The 12 components in order."""
@@ -76,8 +76,8 @@ def fixed(*, position=1.0, velocity=1.0, attitude=1.0, body_rate=1.0) -> Compone
 class Weights(eqx.Module):
     """Weights of the cost: control effort w_u and flight time w_t (equation 8, Table I)."""
 
-    control: Scalar
-    time: Scalar
+    control: Scalar = eqx.field(converter=as_floats)
+    time: Scalar = eqx.field(converter=as_floats)
 
 
 class FlightLimits(eqx.Module):
@@ -89,13 +89,13 @@ class FlightLimits(eqx.Module):
         True
     """
 
-    speed: Scalar | None = None
+    speed: Scalar | None = eqx.field(default=None, converter=as_floats)
     """m/s"""
-    tilt: Scalar | None = None
+    tilt: Scalar | None = eqx.field(default=None, converter=as_floats)
     """rad, between the body's z axis and the vertical; below pi."""
-    body_rate: Scalar | None = None
+    body_rate: Scalar | None = eqx.field(default=None, converter=as_floats)
     """rad/s, norm of the body rate."""
-    thrust_rate: Scalar | None = None
+    thrust_rate: Scalar | None = eqx.field(default=None, converter=as_floats)
     """N/s, of every rotor."""
 
 
@@ -108,9 +108,9 @@ def flight_limits(*, speed=None, tilt=None, body_rate=None, thrust_rate=None) ->
 class Ellipsoids(eqx.Module):
     """Ellipsoids {p : |shape (p - centre)| <= 1}."""
 
-    centres: Float[Array, "count 3"]
+    centres: Float[Array, "count 3"] = eqx.field(converter=as_floats)
     """m"""
-    shapes: Float[Array, "count 3 3"]
+    shapes: Float[Array, "count 3 3"] = eqx.field(converter=as_floats)
     """1/m; rows are the axes, each divided by its semi-axis."""
 
 
@@ -146,21 +146,21 @@ class Mission(eqx.Module):
     """On the deck. For a moving deck: its position at time zero, and the velocity relative to the deck.
     The landing cone stands on the goal's own x-y plane, so that a tilted goal is a tilted deck."""
     corridor: Corridor
-    cone_angle: Scalar
+    cone_angle: Scalar = eqx.field(converter=as_floats)
     """gamma_c in radians: angle of the landing cone's side above the deck; pi/4 in the paper."""
     weights: Weights
-    dilation_min: Scalar
+    dilation_min: Scalar = eqx.field(converter=as_floats)
     """Least dt/dtau in s: bounds the flight time and every part of the mesh."""
-    dilation_max: Scalar
+    dilation_max: Scalar = eqx.field(converter=as_floats)
     """Greatest dt/dtau in s."""
-    obstacles: Points | None = None
+    obstacles: Points | None = eqx.field(default=None, converter=as_floats)
     """Point cloud in m that the corridor avoids, for pictures and checks; the solver does not use it."""
     limits: FlightLimits = FlightLimits()
     keep_out: Ellipsoids | None = None
     """Zones to stay out of."""
     gates: Ellipsoids | None = None
     """Zones to pass through, in this order, each at a time of the planner's choice: way-points and gates."""
-    deck_velocity: Vector3 | None = None
+    deck_velocity: Vector3 | None = eqx.field(default=None, converter=as_floats)
     """m/s, world; None for a deck at rest."""
     start_fixed: Components | None = None
     """None: all."""

@@ -17,6 +17,7 @@ from jax.core import Tracer
 
 from jaxscp.aot import aot, export, planner_cache
 from jaxscp.backends.xla import jit_with_options
+from jaxscp.core.arrays import as_floats
 from jaxscp.core.implicit import undefined_unless
 from jaxscp.core.status import Status
 from jaxscp.core.types import Flag
@@ -46,6 +47,7 @@ class Pipeline(eqx.Module):
 
     def __call__(self, scenario: Scenario) -> Solution:
         """The solution of a scenario."""
+        scenario = _with_arrays(scenario)
         self.check(scenario)
         inputs = scenario.solver_inputs()
         if (compiled := planner_cache.cached(self._maker(), inputs)) is not None:
@@ -54,6 +56,7 @@ class Pipeline(eqx.Module):
 
     def again(self, solution: Solution, scenario: Scenario) -> Solution:
         """The solution of a changed scenario, from the solution of a similar one."""
+        scenario = _with_arrays(scenario)
         self.check(scenario)
         inputs = scenario.solver_inputs()
         begun = _setup_again(self, inputs, solution.context, solution.trajectory)
@@ -75,7 +78,7 @@ class Pipeline(eqx.Module):
         """The programs for scenarios like this one, traced."""
         # Not as parts of another program: XLA then compiles them exactly as it does for a plain call.
         parts = [functools.partial(part.function, self) for part in (_setup, _solve, _conclude)]
-        return aot.trace(parts, scenario, self.nodes, batch_size)
+        return aot.trace(parts, _with_arrays(scenario), self.nodes, batch_size)
 
     def setup(self, scenario: Scenario) -> tuple[ScaledTimeProblem, Any, Any]:
         """Problem over scaled time, first node variables and context: the inputs of the iterations."""
@@ -118,6 +121,11 @@ def _conclude(
 ) -> Solution:
     solution = conclude(pipeline.method, pipeline.samples, problem, result, context)
     return _undefined_unless(ok, solution)
+
+
+def _with_arrays(scenario: Scenario) -> Scenario:
+    """A scenario whose numbers of Python and NumPy, set by ``eqx.tree_at`` say, are arrays."""
+    return jax.tree.map(as_floats, scenario)
 
 
 def _strongly_typed(values):

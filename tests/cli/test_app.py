@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import jaxscp
 from jaxscp import Status, Trajectory
+from jaxscp.backends import libraries
 from jaxscp.cli import app as cli
-from jaxscp.cli import report
+from jaxscp.cli import report, requests
 
 # N, 1e-5 of the range: limits hold to the conic solver's accuracy, which differs by processor.
 THRUST = 5e-5
@@ -197,6 +199,9 @@ def never_compiles(monkeypatch):
         (["plan", "ascend", "--nodes", "1"], "greater than or equal to 2"),
         (["plan", "ascend", "--nodes", "many"], "'--nodes'"),
         (["plan", "platform", "--nodes", "4"], "5 polytopes need at least 6 nodes"),
+        (["plan", "platform", "--mass", "40"], "the rotors cannot carry the weight"),
+        (["plan", "platform", "--mass", "-1"], "must be positive"),
+        (["plan", "platform", "--speed", "nan"], "needs finite numbers"),
         (["plan", "ascend", "--save", "no/such/folder/plan.npz"], "No such file or directory"),
         (["plan", "ascend", "--save", "."], "cannot write ."),
         (["plan", "ascend", "--plot", "no/such/folder/plan.png"], "No such file or directory"),
@@ -219,6 +224,27 @@ def test_checking_a_file_leaves_none_behind_and_harms_none(tmp_path):
         invoke("plan", "platform", "--nodes", "4", "--save", tmp_path / name)
     assert [file.name for file in tmp_path.iterdir()] == ["kept.npz"]
     assert kept.read_bytes() == b"precious"
+
+
+def test_installation_is_described():
+    facts = json.loads(invoke("info", "--json").stdout)
+    assert facts["version"] == jaxscp.__version__
+    assert facts["jax"] == jax.__version__
+    assert len(facts["devices"]) == len(jax.devices())
+    assert set(facts["libraries"]) == {library.stem.name for library in libraries.EVERY}
+    for library in facts["libraries"].values():
+        assert library["serves"] or library["reason"]
+    assert jaxscp.__version__ in invoke("info").stdout
+    assert invoke("--version").stdout == f"jaxscp {jaxscp.__version__}\n"
+
+
+def test_mass_speed_and_time_weight_change_the_scenario():
+    request = requests.PlanRequest(mass=1.1, speed=3.0, time_weight=5.0)
+    changed = request.changed(cli.CASES["ascend"]())
+    changed.check(NODES)
+    assert float(changed.airframe.body.mass) == 1.1
+    assert float(changed.limits.speed) == 3.0
+    assert float(changed.weights.time) == 5.0
 
 
 def test_runs_as_a_module():

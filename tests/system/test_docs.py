@@ -138,4 +138,4 @@ def test_pictures_are_small():
 
 
 def test_citation_has_the_version():
-    assert f"version: {PROJECT['version']}\n" in (ROOT / "CITATION.cff").read_text()
+    assert f"version: {jaxscp.__version__}\n" in (ROOT / "CITATION.cff").read_text()
