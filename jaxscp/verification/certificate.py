@@ -8,12 +8,13 @@ Every row has the name and the unit that the problem gives it.
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
-from jaxscp.core.types import Flag, Scalar
+from jaxscp.core.types import Scalar
 from jaxscp.problem.scaled_time import PathConstraint, ScaledTimeProblem
 from jaxscp.problem.sizes import end_tolerances
 from jaxscp.problem.trajectory import Trajectory
+from jaxscp.verification.report import report
 from jaxscp.verification.rollout import Rollout, rollout
 
 OPTIMALITY_TOLERANCE = 0.3  # KKT residual; converged solutions have about 0.01
@@ -61,32 +62,20 @@ class Certificate(eqx.Module):
             raise KeyError(f"no row {name!r}; there are {', '.join(self.end_names) or 'none'}")
         return self.end_errors[..., self.end_names.index(name)]
 
-    def passed(self, between_nodes: bool = True) -> Flag:
-        """Whether the solution is good enough: ends, constraints and optimality within their tolerances.
+    def passed(self, between_nodes: bool = True) -> Bool[Array, "*batch"]:
+        """Whether each solution is good enough: ends, constraints and optimality within their tolerances.
 
         Args:
             between_nodes: whether constraints count; a method that enforces them only at nodes claims less.
         """
-        good = jnp.all(self.end_errors <= self.end_tolerances)
+        good = jnp.all(self.end_errors <= self.end_tolerances, axis=-1)
         if self.optimality is not None:
             good &= self.optimality <= OPTIMALITY_TOLERANCE
-        return good & jnp.all(self.between_nodes <= self.allowed) if between_nodes else good
+        return good & jnp.all(self.between_nodes <= self.allowed, axis=-1) if between_nodes else good
 
     def report(self) -> str:
-        """A short text for people; for one solution, not a batch."""
-        width = max(map(len, (*self.names, *self.end_names)), default=0)
-        lines = [
-            f"{name:<{width}}  off by {float(error):.3g} {unit}".rstrip()
-            for name, unit, error in zip(self.end_names, self.end_units, self.end_errors, strict=True)
-        ]
-        for name, nodes, between in zip(self.names, self.at_nodes, self.between_nodes, strict=True):
-            lines.append(
-                f"{name:<{width}}  violated by {float(nodes):.3g} at nodes, {float(between):.3g} between"
-            )
-        lines.append(f"largest defect {float(self.defect):.3g}")
-        if self.optimality is not None:
-            lines.append(f"KKT residual {float(self.optimality):.3g}, relative to the cost")
-        return "\n".join(lines)
+        """A short text for people; of a batch, a row has the worst element's value and its index."""
+        return report(self)
 
 
 def certify(
