@@ -93,7 +93,9 @@ class Solution(eqx.Module):
             f"{count} {name}: {Status[getattr(Status, name)]}"
             for name, count in zip(found, counts, strict=True)
         ]
-        return "\n".join([f"{names.size} solutions", *lines, self.backends.report()])
+        return "\n".join(
+            [f"{names.size} solutions", *lines, self.backends.report(), self.certificate.report()]
+        )
 
     def __str__(self) -> str:
         return repr(self) if is_traced(self) or not _is_filled(self) else self.report()

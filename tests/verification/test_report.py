@@ -1,23 +1,23 @@
 """A certificate as text, and what passes, for batches."""
 
+import jax
 import jax.numpy as jnp
-import numpy as np
 
 from jaxscp.verification.certificate import Certificate
 
 ALLOWED = 1e-3
 
 
-def certificate(ends, violations, optimality=None):
-    """Of a batch, or of one, with one row at an end and one constraint."""
-    ends, violations = jnp.asarray(ends)[..., None], jnp.asarray(violations)[..., None]
+def one(end, violation, optimality=None):
+    """With one row at an end and one constraint."""
+    ends, violations = jnp.asarray(end)[None], jnp.asarray(violation)[None]
     return Certificate(
-        defect=ends[..., 0],
+        defect=ends[0],
         end_errors=ends,
-        end_tolerances=jnp.full_like(ends, ALLOWED),
+        end_tolerances=jnp.full(1, ALLOWED),
         at_nodes=0.5 * violations,
         between_nodes=violations,
-        allowed=jnp.full_like(violations, ALLOWED),
+        allowed=jnp.full(1, ALLOWED),
         optimality=optimality,
         names=("speed",),
         end_names=("final position",),
@@ -25,11 +25,16 @@ def certificate(ends, violations, optimality=None):
     )
 
 
+def certificate(*arrays):
+    """Of a batch."""
+    return jax.vmap(one)(*map(jnp.asarray, arrays))
+
+
 def test_each_element_passes_by_its_own_values():
     batch = certificate([0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], jnp.array([0.0, 0.0, 0.0, 1.0]))
     assert batch.passed().tolist() == [True, False, False, False]
     assert batch.passed(between_nodes=False).tolist() == [True, False, True, False]
-    assert certificate(0.0, 0.0).passed().shape == ()
+    assert one(0.0, 0.0).passed().shape == ()
 
 
 def test_a_row_of_a_batch_has_the_worst_element():
@@ -43,7 +48,7 @@ def test_a_row_of_a_batch_has_the_worst_element():
 
 
 def test_elements_of_a_grid_have_an_index_for_each_axis():
-    batch = certificate(np.arange(6.0).reshape(2, 3), np.zeros((2, 3)))
+    batch = jax.vmap(certificate)(jnp.arange(6.0).reshape(2, 3), jnp.zeros((2, 3)))
     assert "off by 5 m (element 1, 2)" in batch.report()
 
 
