@@ -9,7 +9,7 @@ def report(certificate: Any) -> str:
     """Lines for people: a row for each end, constraint and residual.
 
     Args:
-        certificate: a ``Certificate`` of one solution, or of a batch of any shape. A row of a batch has the worst value and its element.
+        certificate: a ``Certificate`` of one solution, or of a batch. A row of a batch has its worst element's value.
     """
     names = (*certificate.names, *certificate.end_names)
     width = max(map(len, names), default=0)
