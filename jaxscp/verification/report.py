@@ -1,18 +1,15 @@
 """A certificate as text: of one solution, or of a batch by its worst elements."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from jaxscp.verification.certificate import Certificate
 
-
-def report(certificate: "Certificate") -> str:
+def report(certificate: Any) -> str:
     """Lines for people: a row for each end, constraint and residual.
 
     Args:
-        certificate: of one solution, or of a batch of any shape. A row of a batch has the worst value and its element.
+        certificate: a ``Certificate`` of one solution, or of a batch. A row of a batch has its worst element's value.
     """
     names = (*certificate.names, *certificate.end_names)
     width = max(map(len, names), default=0)
@@ -50,7 +47,7 @@ def _worst(values: Any) -> tuple[str, str]:
     return f"{values[where]:.3g}", f" (element {', '.join(map(str, where))})"
 
 
-def _share(certificate: "Certificate") -> str:
+def _share(certificate: Any) -> str:
     passed, valid = np.asarray(certificate.passed()), ~np.isnan(np.asarray(certificate.defect))
     invalid = passed.size - np.sum(valid)
     text = f"{np.sum(passed & valid)} of {passed.size} pass; each row has the worst element's value"
