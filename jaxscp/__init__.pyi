@@ -48,6 +48,8 @@ from .problem.cost import Cost as Cost
 from .problem.errors import InvalidProblem as InvalidProblem
 from .problem.guess import straight_line as straight_line
 from .problem.problem import OptimalControlProblem as OptimalControlProblem
+from .problem.samples import FlightSamples as FlightSamples
+from .problem.samples import Samples as Samples
 from .problem.scale import Scale as Scale
 from .problem.time import FixedTime as FixedTime
 from .problem.time import FreeTime as FreeTime
