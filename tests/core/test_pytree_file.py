@@ -1,4 +1,4 @@
-"""Pytrees in files: what is read is what was written, and damage is named."""
+"""Pytrees in files: they are read back bitwise, and damage is named."""
 
 import json
 import zipfile
