@@ -64,6 +64,8 @@ from .solver.scenario import Scenario as Scenario
 
 # --- a solution ---
 from .solver.solution import Solution as Solution
+from .problem.samples import Samples as Samples
+from .problem.samples import FlightSamples as FlightSamples
 from .core.status import Status as Status
 from .core.status import status_names as status_names
 from .verification.certificate import Certificate as Certificate

@@ -4,6 +4,7 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool
 
@@ -91,6 +92,21 @@ def status_names(status: StatusCode):
     member_of = [number(status) == number(getattr(Status, name)) for name in _NAMES]
     names = np.select(member_of, _NAMES, default="unknown")
     return str(names) if names.ndim == 0 else names
+
+
+def status_codes(names: Any) -> StatusCode:
+    """The status of a name, or the statuses of an array of names: inverts ``status_names``.
+
+    Raises:
+        KeyError: for an unknown name.
+    """
+    names = np.asarray(names)
+    codes = {name: np.asarray(jax.tree.leaves(getattr(Status, name))[0]) for name in _NAMES}
+    unknown = sorted(set(names.ravel().tolist()) - set(codes))
+    if unknown:
+        raise KeyError(f"{unknown[0]!r} is no status")
+    found = np.array([codes[name] for name in names.ravel().tolist()], codes["converged"].dtype)
+    return jax.tree.unflatten(jax.tree.structure(Status.converged), [jnp.asarray(found.reshape(names.shape))])
 
 
 def usable(status: StatusCode) -> Bool[Array, "*batch"]:

@@ -25,6 +25,21 @@ class Dynamics(eqx.Module):
     def control_size(self) -> int:
         """Number of controls."""
 
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of the states in tables, with units."""
+        return tuple(f"x{i}" for i in range(self.state_size))
+
+    @property
+    def control_names(self) -> tuple[str, ...]:
+        """Names of the controls in tables, with units."""
+        return tuple(f"u{i}" for i in range(self.control_size))
+
+    @property
+    def rate_names(self) -> tuple[str, ...]:
+        """Names of the states' derivatives in tables; a derivative without one is left out."""
+        return tuple(f"d{name}/dt" for name in self.state_names)
+
     @abc.abstractmethod
     def __call__(
         self, state: Float[Array, "states"], control: Float[Array, "controls"], time: Scalar | float

@@ -47,6 +47,25 @@ class RigidBody(Dynamics):
         """Number of rotors."""
         return self.thrust_map.shape[-1]
 
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Position, velocity, attitude, body rate."""
+        position = tuple(f"{axis} [m]" for axis in "xyz")
+        velocity = tuple(f"v{axis} [m/s]" for axis in "xyz")
+        attitude = tuple(f"q{part}" for part in "wxyz")
+        return (*position, *velocity, *attitude, *(f"w{axis} [rad/s]" for axis in "xyz"))
+
+    @property
+    def control_names(self) -> tuple[str, ...]:
+        """Thrusts."""
+        return tuple(f"thrust {rotor + 1} [N]" for rotor in range(self.control_size))
+
+    @property
+    def rate_names(self) -> tuple[str, ...]:
+        """Accelerations alone: the other derivatives follow from the state."""
+        acceleration = tuple(f"a{axis} [m/s^2]" for axis in "xyz")
+        return (*[""] * 3, *acceleration, *[""] * 4, *(f"dw{axis}/dt [rad/s^2]" for axis in "xyz"))
+
     def __call__(
         self, state: Float[Array, "states"], control: Float[Array, "controls"], time: Scalar | float = 0.0
     ) -> Float[Array, "states"]:

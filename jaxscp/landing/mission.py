@@ -14,6 +14,7 @@ from jaxscp.core.types import Points, Quaternion, Scalar, Vector3
 from jaxscp.corridor.polytopes import Corridor
 from jaxscp.dynamics import rotations
 from jaxscp.dynamics.airframes import Airframe
+from jaxscp.dynamics.rigid_body import RigidBody
 
 
 class BodyState(eqx.Module):
@@ -135,6 +136,10 @@ def ellipsoids(centres, semi_axes) -> Ellipsoids:
     with np.errstate(divide="ignore"):  # ``validate`` names the wrong field
         shapes = np.eye(3) / semi_axes[:, None, :]
     return Ellipsoids(jnp.asarray(centres), jnp.asarray(shapes))
+
+
+PARTS = Airframe, RigidBody, BodyState, Components, Corridor, Ellipsoids, FlightLimits, Weights
+"""Classes of a mission's fields: files name them."""
 
 
 class Mission(eqx.Module):

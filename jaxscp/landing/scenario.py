@@ -1,17 +1,20 @@
 """A landing scenario: a mission with the interface that a planner needs."""
 
+import os
+
 import equinox as eqx
 import jax
 from jaxtyping import Array, Int
 
+from jaxscp.core import pytree_file
 from jaxscp.core.types import Flag
 from jaxscp.landing.allocation import allocate
 from jaxscp.landing.guess import initial_guess
-from jaxscp.landing.mission import Mission
+from jaxscp.landing.mission import PARTS, Mission
 from jaxscp.landing.problem import landing_problem
 from jaxscp.landing.validation import check_types, valid, validate
 from jaxscp.landing.warm_guess import warm_guess
-from jaxscp.problem.form import Form
+from jaxscp.problem.form import Continuous, Form
 from jaxscp.problem.node_values import node_times
 from jaxscp.problem.problem import OptimalControlProblem
 from jaxscp.problem.trajectory import Trajectory
@@ -30,6 +33,37 @@ class LandingScenario(Mission):
         5
         >>> slow = dataclasses.replace(scenario, limits=jaxscp.flight_limits(speed=3.0))
     """
+
+    def save(self, file: str | os.PathLike) -> None:
+        """Write all numbers of the scenario to an .npz, for ``LandingScenario.load``. No code is stored.
+
+        Raises:
+            OSError: if the file cannot be written.
+
+        Example:
+            >>> import jaxscp, pathlib, tempfile
+            >>> file = pathlib.Path(tempfile.mkdtemp()) / "scenario.npz"
+            >>> jaxscp.scenarios.platform_to_platform().save(file)
+            >>> jaxscp.LandingScenario.load(file).corridor.count
+            5
+        """
+        pytree_file.write(file, {"scenario": self})
+
+    @staticmethod
+    def load(file: str | os.PathLike) -> "LandingScenario":
+        """The scenario that ``save`` wrote, or ``Solution.save(file, scenario)``, bitwise.
+
+        Raises:
+            ValueError: if the file is damaged, of a newer format, or holds no landing; the message names the field.
+            OSError: if the file cannot be read.
+        """
+        found = pytree_file.read(file, "scenario", (LandingScenario, *PARTS))
+        if not isinstance(found, LandingScenario):
+            raise ValueError(
+                f"{file}: holds no scenario of a landing; scenario.save(file) writes one, and so does "
+                "solution.save(file, scenario)"
+            )
+        return found
 
     def check(self, nodes: int) -> None:
         """Raise ``InvalidScenario`` if the scenario contradicts itself.
@@ -52,13 +86,16 @@ class LandingScenario(Mission):
         return eqx.tree_at(lambda s: s.obstacles, self, None)
 
     def problem(
-        self, nodes: int, form: Form, context: Allocation | None = None
+        self,
+        nodes: int,
+        form: Form = Continuous(),  # noqa: B008
+        context: Allocation | None = None,
     ) -> tuple[OptimalControlProblem, Allocation]:
         """The optimal control problem, and the polytope of every interval.
 
         Args:
             nodes: N.
-            form: statement that the method solves.
+            form: statement that the method solves; the default method's by default.
             context: allocation to use again, in a re-plan.
         """
         if context is None:

@@ -40,7 +40,7 @@ def conclude(
     failed = (result.status == Status.converged) & ~certificate.passed(method.holds_between_nodes)
     return Solution(
         status=Status.where(failed, Status.verification_failed, result.status),
-        trajectory=trajectory,
+        trajectory=trajectory.with_dynamics(problem.dynamics),
         cost=result.cost if problem.sizes is None else result.cost * problem.sizes.cost,
         final_time=trajectory.time[-1],
         iterations=result.iterations,

@@ -59,7 +59,8 @@ class Pipeline(eqx.Module):
         scenario = _with_arrays(scenario)
         self.check(scenario)
         inputs = scenario.solver_inputs()
-        begun = _setup_again(self, inputs, solution.context, solution.trajectory)
+        plan = solution.trajectory.with_dynamics(None)  # a plan with dynamics would compile another program
+        begun = _setup_again(self, inputs, solution.context, plan)
         if (compiled := planner_cache.cached(self._maker(), inputs, begun)) is not None:
             return compiled.run_from(begun)
         return _conclude(self, *_solve(self, *begun))

@@ -1,5 +1,6 @@
 """The solution of a problem. A planner from a file needs this module and its imports, and no solver."""
 
+import os
 from typing import Any
 
 import equinox as eqx
@@ -9,8 +10,10 @@ from jaxtyping import Array, Float
 
 from jaxscp.backends.serving import Backends
 from jaxscp.backends.xla import is_traced
+from jaxscp.core import pytree_file
 from jaxscp.core.status import Status, StatusCode, status_names
 from jaxscp.core.types import Count, Flag, Scalar
+from jaxscp.dynamics.augmented import DYNAMICS, can_be_stored
 from jaxscp.problem.multipliers import Multipliers
 from jaxscp.problem.trajectory import Trajectory
 from jaxscp.scp.history import History
@@ -47,6 +50,51 @@ class Solution(eqx.Module):
     """Node variables, in the units of the solver."""
     context: Any
     """Data that the scenario built its problem with; for a landing, the polytope of every interval."""
+
+    def save(self, file: str | os.PathLike, scenario: Any = None) -> None:
+        """Write all of the solution to an .npz, and its scenario, for ``Solution.load``. No code is stored.
+
+        Functions of yours cannot be stored: the problem of ``jaxscp.solve`` is not in the file, and dynamics of yours
+        are left out of the trajectory.
+
+        Args:
+            file: to write.
+            scenario: a ``LandingScenario``, say; ``LandingScenario.load`` reads it from the same file.
+
+        Raises:
+            TypeError: if the scenario or the context holds something else than arrays, numbers and texts.
+            OSError: if the file cannot be written.
+
+        Example:
+            >>> import jaxscp, pathlib, tempfile
+            >>> scenario = jaxscp.scenarios.ascent_to_platform()
+            >>> solution = jaxscp.Planner(nodes=10, method=jaxscp.PTR(max_iterations=1))(scenario)
+            >>> file = pathlib.Path(tempfile.mkdtemp()) / "plan.npz"
+            >>> solution.save(file, scenario)
+            >>> again, asked = jaxscp.Solution.load(file), jaxscp.LandingScenario.load(file)
+            >>> bool(again.cost == solution.cost), asked.corridor.count
+            (True, 3)
+        """
+        solution = self
+        if not can_be_stored(self.trajectory.dynamics):
+            bare = self.trajectory.with_dynamics(None)
+            solution = eqx.tree_at(lambda s: s.trajectory, self, bare, is_leaf=lambda v: v is None)
+        parts = {"solution": solution}
+        pytree_file.write(file, parts if scenario is None else parts | {"scenario": scenario})
+
+    @staticmethod
+    def load(file: str | os.PathLike) -> "Solution":
+        """The solution that ``save`` wrote, bitwise.
+
+        Raises:
+            ValueError: if the file is damaged, of a newer format, or holds no solution; the message names the field.
+            OSError: if the file cannot be read.
+        """
+        classes = Solution, Trajectory, Multipliers, Certificate, History, Backends, *DYNAMICS
+        found = pytree_file.read(file, "solution", classes)
+        if not isinstance(found, Solution):
+            raise ValueError(f"{file}: holds no solution; Solution.save writes one")
+        return found
 
     def iteration_table(self) -> str:
         """One line an iteration, then one for the interior point that found the optimum.

@@ -11,6 +11,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxscp.core.types import Scalar
+from jaxscp.problem.canonical import canonical
+from jaxscp.problem.form import Continuous
+from jaxscp.problem.lowering import over_scaled_time
+from jaxscp.problem.problem import OptimalControlProblem
 from jaxscp.problem.scaled_time import PathConstraint, ScaledTimeProblem
 from jaxscp.problem.sizes import end_tolerances
 from jaxscp.problem.trajectory import Trajectory
@@ -79,7 +83,7 @@ class Certificate(eqx.Module):
 
 
 def certify(
-    problem: ScaledTimeProblem,
+    problem: OptimalControlProblem | ScaledTimeProblem,
     trajectory: Trajectory,
     samples: int = 200,
     optimality: Scalar | None = None,
@@ -87,11 +91,29 @@ def certify(
     """Certificate of a trajectory for its problem.
 
     Args:
-        problem: that was solved.
+        problem: that was solved; typical sizes of a problem with a scale are measured on the trajectory.
         trajectory: the solution; only its controls, its dilation and its first state are used.
         samples: points an interval at which constraints are evaluated, two at least.
         optimality: KKT residual, if the method claims an optimum.
+
+    Example:
+        >>> import jaxscp
+        >>> scenario = jaxscp.scenarios.ascent_to_platform()
+        >>> solution = jaxscp.Planner(nodes=10, method=jaxscp.PTR(max_iterations=1))(scenario)
+        >>> problem, _ = scenario.problem(10, context=solution.context)
+        >>> jaxscp.certify(problem, solution.trajectory, samples=20).names
+        ('corridor', 'thrust', 'landing cone')
     """
+    if isinstance(problem, OptimalControlProblem):
+        plan = trajectory.with_dynamics(None)
+        stated = over_scaled_time(canonical(problem), Continuous(), plan)
+        return _compiled(stated, plan, samples, optimality)
+    return _certificate(problem, trajectory, samples, optimality)
+
+
+def _certificate(
+    problem: ScaledTimeProblem, trajectory: Trajectory, samples: int, optimality: Scalar | None
+) -> Certificate:
     integrated = rollout(problem, trajectory, samples)
     defect = jnp.max(jnp.linalg.norm(integrated.state[:, -1] - trajectory.state[1:], axis=-1))
     ends = _end_rows(problem, trajectory, integrated)
@@ -110,6 +132,9 @@ def certify(
         end_units=tuple(unit for _, unit, *_ in ends),
     )
     return jax.tree.map(lambda v: jnp.where(jnp.isnan(v), jnp.inf, v), certificate)
+
+
+_compiled = eqx.filter_jit(_certificate)
 
 
 def _stacked(values: list) -> Float[Array, "rows"]:

@@ -199,7 +199,7 @@ def test_a_folder_that_is_not_there_is_no_place_for_a_file(scenario, tmp_path):
 
 def test_what_is_described_can_be_built_again(answer):
     description = json.loads(json.dumps(spec_of(answer.trajectory)))
-    again = zeros_of(description, [jaxscp.Trajectory])
+    again = zeros_of(description, [jaxscp.Trajectory, jaxscp.RigidBody])
     assert difference(description, spec_of(again)) is None
     with pytest.raises(KeyError):
         zeros_of(description, [])

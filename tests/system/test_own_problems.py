@@ -74,6 +74,10 @@ with np.load(arrays) as stored:
     numbers = {name[2:]: jnp.asarray(stored[name]) for name in stored if name[:2] == "p:"}
     guess = js.Trajectory(*(jnp.asarray(stored["g:" + part]) for part in ("time", "state", "control", "dilation")))
 solution = js.load(file)(numbers, guess)
+try:
+    solution.trajectory.at(0.0)
+except ValueError as error:  # dynamics of the user's
+    assert "trajectory.with_dynamics(problem.dynamics)" in str(error), error
 assert "tests.support.own_problems" not in sys.modules
 print(js.status_names(solution.status), repr(float(solution.cost)))
 """
