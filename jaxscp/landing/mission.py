@@ -5,13 +5,14 @@ work.
 """
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxscp.core.arrays import floats, namespace
+from jaxscp.core.arrays import floats, namespace, unit_lengths
 from jaxscp.core.types import Points, Quaternion, Scalar, Vector3
-from jaxscp.corridor.polytopes import Corridor
+from jaxscp.corridor.polytopes import Corridor, unit_rows
 from jaxscp.dynamics import rotations
 from jaxscp.dynamics.airframes import Airframe
 
@@ -24,7 +25,7 @@ class BodyState(eqx.Module):
     velocity: Vector3
     """m/s, world."""
     attitude: Quaternion
-    """(w, x, y, z), body to world, unit norm."""
+    """(w, x, y, z), body to world; scaled to unit norm where a problem is made of it."""
     body_rate: Vector3
     """rad/s, body."""
 
@@ -166,6 +167,29 @@ class Mission(eqx.Module):
     """None: all."""
     goal_fixed: Components | None = None
     """None: all."""
+
+    def with_unit_directions(self) -> "Mission":
+        """The same mission with unit normals of the corridor and unit quaternions of both ends.
+
+        Offsets and violations are then metres, and the certificate starts from an attitude. Constructors cannot do
+        this: a study replaces arrays inside a scenario. Therefore every function that reads directions calls this
+        first. Unit vectors keep their bits.
+
+        Example:
+            >>> import equinox as eqx, jax.numpy as jnp, jaxscp
+            >>> scenario = jaxscp.scenarios.platform_to_platform()
+            >>> long = eqx.tree_at(lambda s: s.start.attitude, scenario, jnp.array([1.0009, 0.0, 0.0, 0.0]))
+            >>> long.with_unit_directions().start.attitude.tolist()
+            [1.0, 0.0, 0.0, 0.0]
+        """
+        rows = unit_rows(self.corridor.normals, self.corridor.offsets)
+        attitudes = [end.attitude / unit_lengths(end.attitude) for end in (self.start, self.goal)]
+        found = jnp if isinstance(self.corridor.normals, jax.Array) else np  # validation is of NumPy's arrays
+        return eqx.tree_at(
+            lambda s: (s.corridor.normals, s.corridor.offsets, s.start.attitude, s.goal.attitude),
+            self,
+            [found.asarray(v) for v in (*rows, *attitudes)],
+        )
 
     def goal_at(self, time: Scalar) -> BodyState:
         """The goal in the world at a time in s."""

@@ -149,7 +149,7 @@ def landing_problem(
         allocation: polytope of every interval, see ``allocate``; node k has the polytope of interval k.
         form: statement of the problem. By default the final attitude is fixed by the three components of its error.
     """
-    nodes = allocation.shape[0] + 1
+    nodes, mission = allocation.shape[0] + 1, mission.with_unit_directions()
     return OptimalControlProblem(
         dynamics=mission.airframe.body,
         cost=Cost(effort, flight_time, mission.weights),

@@ -10,6 +10,7 @@ import numpy as np
 from jaxscp.landing.mission import Mission
 
 CLEARANCE = 1e-6  # m by which start and goal may miss their polytope, for rounding
+PADDED = 1.0  # offset of a row that only pads: 0 . p <= 1
 UNIT_NORM = 1e-3  # by which a quaternion's norm may differ from one
 
 
@@ -24,12 +25,36 @@ class Rule(NamedTuple):
 
 def rules(s: Mission, xp):
     """Every requirement on values; ``xp`` is numpy or jax.numpy."""
+    yield from _direction_rules(s, xp)
+    s = s.with_unit_directions()  # depths and clearances below are metres
     yield from _vehicle_rules(s, xp)
     yield from _limit_rules(s, xp)
     yield from _corridor_rules(s, xp)
     yield from _flight_limit_rules(s, xp)
     yield from _zone_rules(s, xp)
     yield from _component_rules(s, xp)
+
+
+def _direction_rules(s: Mission, xp):
+    """Directions of any length are scaled; those of none, and quaternions far from unit norm, are mistakes."""
+    for name in ("start", "goal"):
+        norm = xp.sqrt(xp.sum(getattr(s, name).attitude ** 2))
+        yield Rule(
+            xp.abs(norm - 1.0) <= UNIT_NORM,
+            f"{name}.attitude: quaternion (w, x, y, z) has norm {norm}, not 1. Normalise it; is w first?",
+        )
+    # Squares, as in the scaling: a normal whose square is zero has no direction.
+    lost = (xp.sum(s.corridor.normals**2, axis=-1) == 0.0) & (s.corridor.offsets != PADDED)
+    where = (
+        f" face {np.argwhere(lost)[0][1]} of polytope {np.argwhere(lost)[0][0]}"
+        if xp is np and lost.any()
+        else ""
+    )
+    yield Rule(
+        ~xp.any(lost),
+        f"corridor.normals:{where} has a normal of length zero, and an offset that is not 1: its direction is lost. "
+        "Only rows 0 . p <= 1 pad a polytope.",
+    )
 
 
 def _vehicle_rules(s: Mission, xp):
@@ -74,12 +99,6 @@ def _limit_rules(s: Mission, xp):
         (s.weights.control >= 0) & (s.weights.time >= 0) & (s.weights.control + s.weights.time > 0),
         "weights: control and time must not be negative, and one must be positive.",
     )
-    for name in ("start", "goal"):
-        norm = xp.sqrt(xp.sum(getattr(s, name).attitude ** 2))
-        yield Rule(
-            xp.abs(norm - 1.0) <= UNIT_NORM,
-            f"{name}.attitude: quaternion (w, x, y, z) has norm {norm}, not 1. Normalise it; is w first?",
-        )
 
 
 def _corridor_rules(s: Mission, xp):

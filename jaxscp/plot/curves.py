@@ -101,6 +101,7 @@ def zone_margin(zones: Ellipsoids, curves: Curves) -> Array:
 
 def _depths(corridor: Corridor, curves: Curves) -> Array:
     """Distance of every point to the nearest face of every polytope, (points, polytopes)."""
+    corridor = corridor.with_unit_normals()
     normals, offsets = np.asarray(corridor.normals), np.asarray(corridor.offsets)
     depth = offsets - np.einsum("kfc,pc->pkf", normals, curves.state[:, :3])
     used = np.linalg.norm(normals, axis=2) > 1e-9
