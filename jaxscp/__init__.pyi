@@ -30,7 +30,6 @@ from .landing.mission import ellipsoids as ellipsoids
 from .landing.mission import fixed as fixed
 from .landing.mission import flight_limits as flight_limits
 from .landing.scenario import LandingScenario as LandingScenario
-from .landing.validation import InvalidScenario as InvalidScenario
 from .landing.validation import validate as validate
 from .planner.planner import Planner as Planner
 from .problem.boundary import Boundary as Boundary
@@ -46,6 +45,7 @@ from .problem.constraint import Constraint as Constraint
 from .problem.constraint import Throughout as Throughout
 from .problem.cost import Cost as Cost
 from .problem.errors import InvalidProblem as InvalidProblem
+from .problem.errors import InvalidScenario as InvalidScenario
 from .problem.guess import straight_line as straight_line
 from .problem.problem import OptimalControlProblem as OptimalControlProblem
 from .problem.scale import Scale as Scale

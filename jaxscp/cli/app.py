@@ -33,8 +33,8 @@ from jaxscp.corridor import (
 from jaxscp.landing import scenarios
 from jaxscp.landing.mission import at_rest
 from jaxscp.landing.scenario import LandingScenario
-from jaxscp.landing.validation import InvalidScenario
 from jaxscp.planner.planner import Planner
+from jaxscp.problem.errors import InvalidScenario
 from jaxscp.scp.nodal_subproblem import NormTrustRegion, ProximalTrustRegion
 from jaxscp.scp.ptr import PTR
 from jaxscp.solver.solution import Solution

@@ -100,6 +100,10 @@ class FlightLimits(eqx.Module):
     """N/s, of every rotor."""
 
 
+def _limits(given: FlightLimits | None) -> FlightLimits:
+    return FlightLimits() if given is None else given
+
+
 def flight_limits(*, speed=None, tilt=None, body_rate=None, thrust_rate=None) -> FlightLimits:
     """``FlightLimits`` from plain numbers."""
     numbers = (speed, tilt, body_rate, thrust_rate)
@@ -122,6 +126,9 @@ def ellipsoids(centres, semi_axes) -> Ellipsoids:
         centres: (count, 3) in m.
         semi_axes: (count, 3) or, for balls, (count,) or one number; in m.
 
+    Returns:
+        The ellipsoids; without centres none, which is no zone and no gate.
+
     Example:
         >>> import jaxscp
         >>> jaxscp.ellipsoids([[0.0, 0.0, 1.0]], 0.5).shapes[0].diagonal().tolist()
@@ -130,6 +137,8 @@ def ellipsoids(centres, semi_axes) -> Ellipsoids:
     xp = namespace(centres, semi_axes)
     centres = xp.atleast_2d(xp.asarray(centres, float))
     semi_axes = xp.asarray(semi_axes, float)
+    if centres.size == 0:  # no ellipsoid: a list without entries has no shape of its own
+        centres, semi_axes = centres.reshape(0, 3), xp.ones((0, 3))
     if semi_axes.ndim < 2:
         semi_axes = xp.broadcast_to(semi_axes, centres.shape[:1])[:, None]
     semi_axes = xp.broadcast_to(semi_axes, centres.shape)
@@ -156,7 +165,8 @@ class Mission(eqx.Module):
     """Greatest dt/dtau in s."""
     obstacles: Points | None = None
     """Point cloud in m that the corridor avoids, for pictures and checks; the solver does not use it."""
-    limits: FlightLimits = FlightLimits()
+    limits: FlightLimits = eqx.field(default=FlightLimits(), converter=_limits)
+    """None: no limits."""
     keep_out: Ellipsoids | None = None
     """Zones to stay out of."""
     gates: Ellipsoids | None = None

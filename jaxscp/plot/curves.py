@@ -96,7 +96,7 @@ def zone_margin(zones: Ellipsoids, curves: Curves) -> Array:
     from_centre = curves.state[:, None, :3] - np.asarray(zones.centres)
     level = np.linalg.norm(np.einsum("zij,pzj->pzi", shapes, from_centre), axis=2)
     least = 1.0 / np.linalg.norm(shapes, ord=2, axis=(1, 2))
-    return np.min((level - 1.0) * least, axis=1)
+    return np.min((level - 1.0) * least, axis=1, initial=np.inf)
 
 
 def _depths(corridor: Corridor, curves: Curves) -> Array:

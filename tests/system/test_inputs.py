@@ -1,5 +1,9 @@
 """Inputs that are unusual or wrong, each beside a sound one: a true plan, or a status that says what ended it."""
 
+import dataclasses
+
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -43,3 +47,34 @@ def test_a_subproblem_that_is_not_solved_is_no_iteration_limit():
     assert int(touching.iterations) < PLANNER.method.max_iterations
     assert "landing cone" in touching.report()
     assert status(below) == "converged"
+
+
+@pytest.mark.slow
+def test_a_replan_through_another_corridor_has_its_polytopes():
+    scenario = jaxscp.scenarios.platform_to_platform()
+    plan = PLANNER.replan(PLANNER(room()), scenario)
+    assert status(plan) == "converged"
+    assert np.unique(plan.context).tolist() == list(range(scenario.corridor.count))
+    np.testing.assert_allclose(position(plan)[0], scenario.start.position, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_a_trajectory_is_replanned_like_its_solution():
+    plan, moved = PLANNER(room()), room(goal=(6.2, 1.0, 1.0))
+    from_solution, from_trajectory = PLANNER.replan(plan, moved), PLANNER.replan(plan.trajectory, moved)
+    assert status(from_solution) == status(from_trajectory) == "converged"
+    np.testing.assert_allclose(position(from_trajectory), position(from_solution), atol=1e-9)
+
+
+@pytest.mark.slow
+def test_no_zones_and_no_elements():
+    empty = jaxscp.ellipsoids(np.zeros((0, 3)), [])
+    zones = dataclasses.replace(room(), keep_out=empty, gates=empty)
+    np.testing.assert_allclose(position(PLANNER(zones)), position(PLANNER(room())), atol=1e-9)
+
+    def plan(mass):
+        return PLANNER(put(room(), lambda s: s.airframe.body.mass, mass))
+
+    none = jax.vmap(plan)(jnp.zeros(0))
+    assert none.cost.shape == (0,)
+    assert none.trajectory.state.shape == (0, 30, 13)
