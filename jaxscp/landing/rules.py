@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxscp.landing.hover import can_hover
 from jaxscp.landing.mission import Mission
 
 CLEARANCE = 1e-6  # m by which start and goal may miss their polytope, for rounding
@@ -70,19 +71,29 @@ def _vehicle_rules(s: Mission, xp):
     yield Rule(
         excess <= 0.0, f"airframe.thrust_min: exceeds airframe.thrust_max by {excess} N for some rotor."
     )
-    # Necessary, and for upright rotors sufficient: the greatest thrust along the body's z axis carries the weight.
+    down = body.gravity[2] <= 0.0
+    yield Rule(
+        down, f"airframe.body.gravity: gravity must point along -z, as z points up; got {body.gravity} m/s^2."
+    )
+    # Necessary: the greatest thrust along the body's z axis carries the weight.
     along = body.thrust_map[2]
     greatest = xp.sum(xp.maximum(along * frame.thrust_min, along * frame.thrust_max))
     least = xp.sum(xp.minimum(along * frame.thrust_min, along * frame.thrust_max))
     weight = -body.mass * body.gravity[2]
+    enough, little = (greatest >= weight) | ~down, (least <= weight) | ~down
     yield Rule(
-        greatest >= weight,
+        enough,
         f"airframe: the rotors cannot carry the weight (greatest thrust {greatest} N, weight {weight} N): check "
         "airframe.body.mass in kg and airframe.thrust_max in N a rotor; hover is impossible.",
     )
     yield Rule(
-        least <= weight,
+        little,
         f"airframe.thrust_min: even the least thrust {least} N exceeds the weight {weight} N; hover is impossible.",
+    )
+    yield Rule(
+        can_hover(frame, xp) | ~(down & enough & little) | (excess > 0.0),
+        f"airframe: no thrusts between airframe.thrust_min and airframe.thrust_max carry the weight {weight} N without "
+        "torque; hover is impossible. Does a rotor give no thrust, or has airframe.body.torque_map a wrong sign?",
     )
 
 
