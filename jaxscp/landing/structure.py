@@ -1,6 +1,7 @@
 """The parts of a mission: each of the class that its field names, down to arrays."""
 
 import dataclasses
+import functools
 import types
 import typing
 from typing import Any
@@ -33,15 +34,22 @@ def _check_part(part: Any, expected: type, name: str) -> None:
         found = "None" if part is None else f"one of class {type(part).__name__}"
         hint = f"; {_MAKERS[expected.__name__]}" if expected.__name__ in _MAKERS else ""
         raise InvalidScenario(f"{name}: expected a part of class {expected.__name__}, got {found}{hint}.")
+    for field, choices in _fields(expected):
+        below = field if name == "scenario" else f"{name}.{field}"
+        _check_field(getattr(part, field), choices, below)
+
+
+@functools.cache
+def _fields(expected: type) -> list[tuple[str, tuple[Any, ...]]]:
+    """Fields of a class, each with the classes that its annotation allows; a check comes before every plan."""
     hints = typing.get_type_hints(expected)
-    for field in dataclasses.fields(expected):
-        below = field.name if name == "scenario" else f"{name}.{field.name}"
-        _check_field(getattr(part, field.name), hints[field.name], below)
+    unions = (types.UnionType, typing.Union)
+    choices = lambda hint: typing.get_args(hint) if typing.get_origin(hint) in unions else (hint,)  # noqa: E731
+    return [(field.name, choices(hints[field.name])) for field in dataclasses.fields(expected)]
 
 
-def _check_field(value: Any, hint: Any, name: str) -> None:
+def _check_field(value: Any, choices: tuple[Any, ...], name: str) -> None:
     """Check a field by its annotation: a class of parts, or an array; or None where that is allowed."""
-    choices = typing.get_args(hint) if typing.get_origin(hint) in (types.UnionType, typing.Union) else (hint,)
     if value is None and types.NoneType in choices:
         return
     expected = next(c for c in choices if c is not types.NoneType)
