@@ -5,6 +5,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from jaxscp.core.arrays import namespace
 from jaxscp.core.types import Scalar
@@ -31,7 +32,7 @@ def straight_line(
 
     Raises:
         InvalidProblem: for an end given by a function, which has no value to start from, and for another number of
-            controls; the message names the field.
+            controls, an end or a final time that is not finite; the message names the field.
 
     Example:
         >>> import jaxscp
@@ -57,6 +58,11 @@ def straight_line(
                 "guess by Trajectory.from_arrays(times, states, controls)."
             )
         ends.append(values)
+        for i, value in enumerate(values):
+            if value is not None and _known(value) and not np.isfinite(value):
+                raise InvalidProblem(f"boundary.{where}: x[{i}] is fixed at {value}; None leaves it free.")
+    if final_time is not None and _known(final_time) and not (np.isfinite(final_time) and final_time > 0.0):
+        raise InvalidProblem(f"final_time: must be positive and finite, got {final_time}.")
     pairs = [_both(first, last) for first, last in zip(*ends, strict=True)]
     xp = namespace(pairs)
     first, last = (xp.asarray(end, float) for end in zip(*pairs, strict=True))
@@ -66,6 +72,10 @@ def straight_line(
     time = jnp.linspace(0.0, 1.0, nodes) * duration
     dilation = jnp.broadcast_to(jnp.asarray(duration, float), (nodes,))
     return Trajectory(time, jnp.asarray(state), _controls(problem, control), dilation)
+
+
+def _known(value: Any) -> bool:
+    return not isinstance(value, Tracer)
 
 
 def _both(first: Any, last: Any) -> tuple[Any, Any]:

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxscp.core.types import Controls, Nodes, Scalar, States
+from jaxscp.problem.errors import InvalidProblem
 from jaxscp.problem.node_values import node_times
 
 
@@ -110,7 +111,8 @@ class Trajectory(eqx.Module):
             As many nodes, at equal distances in time.
 
         Raises:
-            ValueError: if times do not rise, or lengths differ.
+            InvalidProblem: if times do not rise, lengths differ, or a value is no finite number; a ``ValueError``. The
+                message names the field.
 
         Example:
             >>> import jaxscp
@@ -118,12 +120,17 @@ class Trajectory(eqx.Module):
             >>> path.time.tolist(), path.state[:, 0].round(2).tolist()
             ([0.0, 2.0, 4.0], [0.0, 1.33, 2.0])
         """
-        times, states, controls = (np.asarray(v, float) for v in (times, states, controls))
+        times, states, controls = (
+            _numbers(values, name)
+            for name, values in (("times", times), ("states", states), ("controls", controls))
+        )
         if times.ndim != 1 or len(times) < 2 or np.any(np.diff(times) <= 0.0) or times[0] != 0.0:
-            raise ValueError("times: two or more are needed, rising from zero on")
+            raise InvalidProblem("times: two or more are needed, rising from zero on")
         for name, values in (("states", states), ("controls", controls)):
             if values.ndim != 2 or len(values) != len(times):
-                raise ValueError(f"{name}: expected ({len(times)}, columns) as times has, got {values.shape}")
+                raise InvalidProblem(
+                    f"{name}: expected ({len(times)}, columns) as times has, got {values.shape}"
+                )
         even = np.linspace(0.0, times[-1], len(times))
         columns = lambda v: np.stack([np.interp(even, times, c) for c in v.T], axis=1)  # noqa: E731
         dilation = np.full(len(times), times[-1])
@@ -162,3 +169,14 @@ class Trajectory(eqx.Module):
                 raise ValueError(f"{file}: field {name!r} has {array.shape[0]} nodes, but 'time' has {nodes}")
         time, state, control, dilation = (jnp.asarray(arrays[name]) for name in names)
         return Trajectory(time, state, control, dilation, hold)
+
+
+def _numbers(values: Any, name: str) -> np.ndarray:
+    """An array of finite numbers."""
+    try:
+        found = np.asarray(values, float)
+    except (TypeError, ValueError) as error:
+        raise InvalidProblem(f"{name}: expected rows of numbers of one length: {error}") from error
+    if not np.isfinite(found).all():
+        raise InvalidProblem(f"{name}: holds a value that is NaN or infinite")
+    return found
