@@ -46,21 +46,8 @@ def straight_line(
         [[0.0, 0.0], [0.5, 0.0], [1.0, 0.0]]
     """
     check_parts(problem)
-    nodes, states = problem.time.nodes, problem.dynamics.state_size
-    ends = []
-    for where in ("initial", "final"):
-        condition = getattr(problem.boundary, where)
-        values = fixed_values(condition, states)
-        if values is None:
-            names = ", ".join(rows.name for rows in condition.rows) or "its rows"
-            raise InvalidProblem(
-                f"boundary.{where}: {names} are given by a function, so that a straight line has no end there. Give a "
-                "guess by Trajectory.from_arrays(times, states, controls)."
-            )
-        ends.append(values)
-        for i, value in enumerate(values):
-            if value is not None and _known(value) and not np.isfinite(value):
-                raise InvalidProblem(f"boundary.{where}: x[{i}] is fixed at {value}; None leaves it free.")
+    nodes = problem.time.nodes
+    ends = [_end(problem, where) for where in ("initial", "final")]
     if final_time is not None and _known(final_time) and not (np.isfinite(final_time) and final_time > 0.0):
         raise InvalidProblem(f"final_time: must be positive and finite, got {final_time}.")
     pairs = [_both(first, last) for first, last in zip(*ends, strict=True)]
@@ -72,6 +59,22 @@ def straight_line(
     time = jnp.linspace(0.0, 1.0, nodes) * duration
     dilation = jnp.broadcast_to(jnp.asarray(duration, float), (nodes,))
     return Trajectory(time, jnp.asarray(state), _controls(problem, control), dilation)
+
+
+def _end(problem: OptimalControlProblem, where: str) -> list[Any]:
+    """Values of the state at an end, None where free."""
+    condition = getattr(problem.boundary, where)
+    values = fixed_values(condition, problem.dynamics.state_size)
+    if values is None:
+        names = ", ".join(rows.name for rows in condition.rows) or "its rows"
+        raise InvalidProblem(
+            f"boundary.{where}: {names} are given by a function, so that a straight line has no end there. Give a guess "
+            "by Trajectory.from_arrays(times, states, controls)."
+        )
+    for i, value in enumerate(values):
+        if value is not None and _known(value) and not np.isfinite(value):
+            raise InvalidProblem(f"boundary.{where}: x[{i}] is fixed at {value}; None leaves it free.")
+    return values
 
 
 def _known(value: Any) -> bool:
