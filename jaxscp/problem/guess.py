@@ -68,8 +68,8 @@ def _end(problem: OptimalControlProblem, where: str) -> list[Any]:
     if values is None:
         names = ", ".join(rows.name for rows in condition.rows) or "its rows"
         raise InvalidProblem(
-            f"boundary.{where}: {names} are given by a function, so that a straight line has no end there. Give a guess "
-            "by Trajectory.from_arrays(times, states, controls)."
+            f"boundary.{where}: {names} are given by a function, so that a straight line has no end there. Give a "
+            "guess by Trajectory.from_arrays(times, states, controls)."
         )
     for i, value in enumerate(values):
         if value is not None and _known(value) and not np.isfinite(value):

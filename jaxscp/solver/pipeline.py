@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jax.core import Tracer
 
 from jaxscp.aot import aot, export, planner_cache
-from jaxscp.backends.xla import jit_with_options
+from jaxscp.backends.xla import any_rank, jit_with_options
 from jaxscp.core.implicit import undefined_unless
 from jaxscp.core.status import Status
 from jaxscp.core.types import Flag
@@ -45,6 +45,7 @@ class Pipeline(eqx.Module):
     method: Method
     samples: int
 
+    @any_rank
     def __call__(self, scenario: Scenario) -> Solution:
         """The solution of a scenario."""
         self.check(scenario)
@@ -53,6 +54,7 @@ class Pipeline(eqx.Module):
             return compiled.run(inputs)
         return _conclude(self, *_solve(self, *_setup(self, inputs)))
 
+    @any_rank
     def again(self, solution: Solution | Trajectory, scenario: Scenario) -> Solution:
         """The solution of a changed scenario, from the solution of a similar one, or from its trajectory."""
         self.check(scenario)
@@ -65,16 +67,19 @@ class Pipeline(eqx.Module):
             return compiled.run_from(begun)
         return _conclude(self, *_solve(self, *begun))
 
+    @any_rank
     def compile(self, scenario: Scenario, batch_size: int | None = None) -> aot.CompiledPlanner:
         """The programs, compiled for scenarios like this one."""
         return aot.compiled(self.trace(scenario, batch_size))
 
+    @any_rank
     def export(self, file: str | os.PathLike, traced: aot.TracedPlanner) -> None:
         """Compile traced programs and write them to a file."""
         if not (folder := pathlib.Path(file).absolute().parent).is_dir():
             raise FileNotFoundError(f"{folder}: no such folder to write {os.fspath(file)} in")
         export.write(file, traced, export.programs_of(traced))
 
+    @any_rank
     def trace(self, scenario: Scenario, batch_size: int | None = None) -> aot.TracedPlanner:
         """The programs for scenarios like this one, traced."""
         _check_class(scenario)
