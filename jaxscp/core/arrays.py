@@ -42,8 +42,8 @@ UNIT = 1e-12  # difference of a squared length from one below which a vector cou
 def unit_lengths(vectors: Any) -> Any:
     """Numbers to divide vectors by, so that they have unit length: one for unit vectors and for zero.
 
-    A vector of unit length to rounding keeps its bits, so that scaling twice is scaling once. Its derivative is still
-    that of scaling: a change along a direction is no change of the direction.
+    A vector of unit length to rounding keeps its bits, so that scaling twice is scaling once. Scaling still has its
+    derivative there: a change along a direction is no change of the direction.
 
     Args:
         vectors: (..., components) arrays, traced or not.

@@ -32,8 +32,8 @@ def allocate(corridor: Corridor, start: Vector3, goal: Vector3, nodes: int) -> I
 def fits(allocation: Int[Array, "intervals"], fresh: Int[Array, "intervals"]) -> Flag:
     """Whether an allocation of another corridor may serve again, in place of a fresh one.
 
-    It does if it takes the polytopes in order, from the first to the last, and gives each half of the fresh one's
-    intervals or more. Else the corridor is another one.
+    It does if it takes the polytopes in order, from the first to the last. Each must have half of the fresh one's
+    intervals at least. Else the corridor is another one.
 
     Example:
         >>> import jax.numpy as jnp

@@ -37,7 +37,7 @@ def rules(s: Mission, xp):
 
 
 def _direction_rules(s: Mission, xp):
-    """Directions of any length are scaled; those of none, and quaternions far from unit norm, are mistakes."""
+    """Directions of any length are scaled. A length of zero, or a quaternion far from unit norm, is a mistake."""
     for name in ("start", "goal"):
         norm = xp.sqrt(xp.sum(getattr(s, name).attitude ** 2))
         yield Rule(

@@ -31,8 +31,8 @@ def straight_line(
         control: (controls,) at every node, the thrusts of hover, say; by default as near zero as the bounds allow.
 
     Raises:
-        InvalidProblem: for an end given by a function, which has no value to start from, and for another number of
-            controls, an end or a final time that is not finite; the message names the field.
+        InvalidProblem: for an end given by a function, which has no value to start from. Also for another number of
+            controls, and for an end or a final time that is not finite. The message names the field.
 
     Example:
         >>> import jaxscp

@@ -1,4 +1,4 @@
-"""Whether a vehicle can hover, against a linear program; and what is said where it cannot."""
+"""Whether a vehicle can hover, against a linear program; and the messages where it cannot."""
 
 import equinox as eqx
 import jax
