@@ -46,7 +46,7 @@ from .landing.mission import Weights as Weights
 from .landing.scenario import LandingScenario as LandingScenario
 from .landing import scenarios as scenarios
 from .landing.validation import validate as validate
-from .landing.validation import InvalidScenario as InvalidScenario
+from .problem.errors import InvalidScenario as InvalidScenario
 
 # --- a method ---
 from .scp.newton import NewtonSCP as NewtonSCP

@@ -26,7 +26,7 @@ from jaxscp.corridor import CorridorResult, MapReport, PointCloud, box, build_co
 from jaxscp.landing import scenarios
 from jaxscp.landing.mission import at_rest
 from jaxscp.landing.scenario import LandingScenario
-from jaxscp.landing.validation import InvalidScenario
+from jaxscp.problem.errors import InvalidScenario
 from jaxscp.solver.solution import Solution
 
 PICTURED = 0.1  # m, between the points of a cloud in pictures

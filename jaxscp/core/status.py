@@ -44,8 +44,9 @@ class Status(eqx.Enumeration):
         "limit on a control or on time, or a negative weight."
     )
     insufficient_progress = (
-        "The steps became too small before the tolerances were met. The problem may be nearly "
-        "infeasible or badly scaled."
+        "The steps became too small before the tolerances were met, or a convex subproblem could not be solved to its "
+        "accuracy. Likely causes: constraints leave no room, as where start or goal lies on a face of the corridor "
+        "that the landing cone meets; or the problem is badly scaled."
     )
     numerical_error = (
         "A number that is not finite arose inside the solver. Check scales: SI units, and masses and times near "
@@ -107,6 +108,25 @@ def status_codes(names: Any) -> StatusCode:
         raise KeyError(f"{unknown[0]!r} is no status")
     found = np.array([codes[name] for name in names.ravel().tolist()], codes["converged"].dtype)
     return jax.tree.unflatten(jax.tree.structure(Status.converged), [jnp.asarray(found.reshape(names.shape))])
+
+
+def after_failed_subproblem(status: StatusCode) -> StatusCode:
+    """Status of a loop that ends because it cannot use the answer of a subproblem.
+
+    The iteration limit of the subproblem's solver is not the loop's: more iterations of the loop would not help.
+
+    Args:
+        status: of the subproblem.
+
+    Example:
+        >>> from jaxscp.core.status import Status, after_failed_subproblem, status_names
+        >>> status_names(after_failed_subproblem(Status.iteration_limit))
+        'insufficient_progress'
+        >>> status_names(after_failed_subproblem(Status.infeasible))
+        'infeasible'
+    """
+    found = Status.where(status == Status.iteration_limit, Status.insufficient_progress, status)
+    return Status.where(usable(status), Status.numerical_error, found)  # solved, but not to a finite point
 
 
 def usable(status: StatusCode) -> Bool[Array, "*batch"]:

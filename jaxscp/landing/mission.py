@@ -5,13 +5,14 @@ work.
 """
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxscp.core.arrays import as_floats, floats, namespace
+from jaxscp.core.arrays import as_floats, floats, namespace, unit_lengths
 from jaxscp.core.types import Points, Quaternion, Scalar, Vector3
-from jaxscp.corridor.polytopes import Corridor
+from jaxscp.corridor.polytopes import Corridor, unit_rows
 from jaxscp.dynamics import rotations
 from jaxscp.dynamics.airframes import Airframe
 from jaxscp.dynamics.rigid_body import RigidBody
@@ -25,7 +26,7 @@ class BodyState(eqx.Module):
     velocity: Vector3 = eqx.field(converter=as_floats)
     """m/s, world."""
     attitude: Quaternion = eqx.field(converter=as_floats)
-    """(w, x, y, z), body to world, unit norm."""
+    """(w, x, y, z), body to world; scaled to unit norm where a problem is made of it."""
     body_rate: Vector3 = eqx.field(converter=as_floats)
     """rad/s, body."""
 
@@ -100,6 +101,10 @@ class FlightLimits(eqx.Module):
     """N/s, of every rotor."""
 
 
+def _limits(given: FlightLimits | None) -> FlightLimits:
+    return FlightLimits() if given is None else given
+
+
 def flight_limits(*, speed=None, tilt=None, body_rate=None, thrust_rate=None) -> FlightLimits:
     """``FlightLimits`` from plain numbers."""
     numbers = (speed, tilt, body_rate, thrust_rate)
@@ -122,6 +127,9 @@ def ellipsoids(centres, semi_axes) -> Ellipsoids:
         centres: (count, 3) in m.
         semi_axes: (count, 3) or, for balls, (count,) or one number; in m.
 
+    Returns:
+        The ellipsoids; without centres none, which is no zone and no gate.
+
     Example:
         >>> import jaxscp
         >>> jaxscp.ellipsoids([[0.0, 0.0, 1.0]], 0.5).shapes[0].diagonal().tolist()
@@ -130,6 +138,8 @@ def ellipsoids(centres, semi_axes) -> Ellipsoids:
     xp = namespace(centres, semi_axes)
     centres = xp.atleast_2d(xp.asarray(centres, float))
     semi_axes = xp.asarray(semi_axes, float)
+    if centres.size == 0:  # no ellipsoid: a list without entries has no shape of its own
+        centres, semi_axes = centres.reshape(0, 3), xp.ones((0, 3))
     if semi_axes.ndim < 2:
         semi_axes = xp.broadcast_to(semi_axes, centres.shape[:1])[:, None]
     semi_axes = xp.broadcast_to(semi_axes, centres.shape)
@@ -160,7 +170,8 @@ class Mission(eqx.Module):
     """Greatest dt/dtau in s."""
     obstacles: Points | None = eqx.field(default=None, converter=as_floats)
     """Point cloud in m that the corridor avoids, for pictures and checks; the solver does not use it."""
-    limits: FlightLimits = FlightLimits()
+    limits: FlightLimits = eqx.field(default=FlightLimits(), converter=_limits)
+    """None: no limits."""
     keep_out: Ellipsoids | None = None
     """Zones to stay out of."""
     gates: Ellipsoids | None = None
@@ -171,6 +182,29 @@ class Mission(eqx.Module):
     """None: all."""
     goal_fixed: Components | None = None
     """None: all."""
+
+    def with_unit_directions(self) -> "Mission":
+        """The same mission with unit normals of the corridor and unit quaternions of both ends.
+
+        Offsets and violations are then metres, and the certificate starts from an attitude. Constructors cannot do
+        this: a study replaces arrays inside a scenario. Therefore every function that reads directions calls this
+        first. Unit vectors keep their bits.
+
+        Example:
+            >>> import equinox as eqx, jax.numpy as jnp, jaxscp
+            >>> scenario = jaxscp.scenarios.platform_to_platform()
+            >>> long = eqx.tree_at(lambda s: s.start.attitude, scenario, jnp.array([1.0009, 0.0, 0.0, 0.0]))
+            >>> long.with_unit_directions().start.attitude.tolist()
+            [1.0, 0.0, 0.0, 0.0]
+        """
+        rows = unit_rows(self.corridor.normals, self.corridor.offsets)
+        attitudes = [end.attitude / unit_lengths(end.attitude) for end in (self.start, self.goal)]
+        found = jnp if isinstance(self.corridor.normals, jax.Array) else np  # validation is of NumPy's arrays
+        return eqx.tree_at(
+            lambda s: (s.corridor.normals, s.corridor.offsets, s.start.attitude, s.goal.attitude),
+            self,
+            [found.asarray(v) for v in (*rows, *attitudes)],
+        )
 
     def goal_at(self, time: Scalar) -> BodyState:
         """The goal in the world at a time in s."""

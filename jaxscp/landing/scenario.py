@@ -4,16 +4,18 @@ import os
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Int
 
 from jaxscp.core import pytree_file
 from jaxscp.core.types import Flag
-from jaxscp.landing.allocation import allocate
+from jaxscp.landing.allocation import allocate, fits
 from jaxscp.landing.guess import initial_guess
 from jaxscp.landing.mission import PARTS, Mission
 from jaxscp.landing.problem import landing_problem
 from jaxscp.landing.validation import check_types, valid, validate
 from jaxscp.landing.warm_guess import warm_guess
+from jaxscp.problem.errors import InvalidScenario
 from jaxscp.problem.form import Continuous, Form
 from jaxscp.problem.node_values import node_times
 from jaxscp.problem.problem import OptimalControlProblem
@@ -96,11 +98,11 @@ class LandingScenario(Mission):
         Args:
             nodes: N.
             form: statement that the method solves; the default method's by default.
-            context: allocation to use again, in a re-plan.
+            context: allocation to use again, in a re-plan; another one is returned if it does not fit the corridor.
         """
-        if context is None:
-            frozen = jax.lax.stop_gradient(self)  # the allocation is no differentiable function
-            context = allocate(frozen.corridor, frozen.start.position, frozen.goal.position, nodes)
+        frozen = jax.lax.stop_gradient(self)  # the allocation is no differentiable function
+        fresh = allocate(frozen.corridor, frozen.start.position, frozen.goal.position, nodes)
+        context = fresh if context is None else jnp.where(fits(context, fresh), context, fresh)
         return landing_problem(self, context, form), context
 
     def guess(self, problem: OptimalControlProblem, context: Allocation) -> Trajectory:
@@ -109,5 +111,15 @@ class LandingScenario(Mission):
         return Trajectory(node_times(guess.dilation), guess.states, guess.controls, guess.dilation)
 
     def warm_guess(self, plan: Trajectory) -> Trajectory:
-        """A plan of a similar scenario, moved to this one's start and goal."""
+        """A plan of a similar scenario, moved to this one's start and goal.
+
+        Raises:
+            InvalidScenario: if the plan is not one of 13 states, or has another number of rotors.
+        """
+        sizes = (("state", 13, "states"), ("control", self.airframe.body.control_size, "rotors"))
+        for name, size, words in sizes:
+            if (found := getattr(plan, name).shape[-1]) != size:
+                raise InvalidScenario(
+                    f"solution.trajectory.{name}: has {found} columns, but the scenario has {size} {words}."
+                )
         return warm_guess(jax.lax.stop_gradient(self), plan)

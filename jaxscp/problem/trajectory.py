@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 from jaxscp.core.arrays import namespace
 from jaxscp.core.types import Controls, Nodes, Scalar, States
 from jaxscp.dynamics.base import Dynamics
+from jaxscp.problem.errors import InvalidProblem
 from jaxscp.problem.node_values import node_times
 from jaxscp.problem.samples import ROUNDING, STEPS, Pieces, Samples, samples_at
 
@@ -200,7 +201,8 @@ class Trajectory(eqx.Module):
             As many nodes, at equal distances in time.
 
         Raises:
-            ValueError: if times do not rise, or lengths differ.
+            InvalidProblem: if times do not rise, lengths differ, or a value is no finite number; a ``ValueError``. The
+                message names the field.
 
         Example:
             >>> import jaxscp
@@ -208,12 +210,17 @@ class Trajectory(eqx.Module):
             >>> path.time.tolist(), path.state[:, 0].round(2).tolist()
             ([0.0, 2.0, 4.0], [0.0, 1.33, 2.0])
         """
-        times, states, controls = (np.asarray(v, float) for v in (times, states, controls))
+        times, states, controls = (
+            _numbers(values, name)
+            for name, values in (("times", times), ("states", states), ("controls", controls))
+        )
         if times.ndim != 1 or len(times) < 2 or np.any(np.diff(times) <= 0.0) or times[0] != 0.0:
-            raise ValueError("times: two or more are needed, rising from zero on")
+            raise InvalidProblem("times: two or more are needed, rising from zero on")
         for name, values in (("states", states), ("controls", controls)):
             if values.ndim != 2 or len(values) != len(times):
-                raise ValueError(f"{name}: expected ({len(times)}, columns) as times has, got {values.shape}")
+                raise InvalidProblem(
+                    f"{name}: expected ({len(times)}, columns) as times has, got {values.shape}"
+                )
         even = np.linspace(0.0, times[-1], len(times))
         columns = lambda v: np.stack([np.interp(even, times, c) for c in v.T], axis=1)  # noqa: E731
         dilation = np.full(len(times), times[-1])
@@ -262,3 +269,14 @@ def _check_inside(times: np.ndarray, nodes: np.ndarray) -> None:
         raise ValueError(
             f"times: {outside[0]:g} s is outside the trajectory, from {nodes[0]:g} s to {nodes[-1]:g} s"
         )
+
+
+def _numbers(values: Any, name: str) -> np.ndarray:
+    """An array of finite numbers."""
+    try:
+        found = np.asarray(values, float)
+    except (TypeError, ValueError) as error:
+        raise InvalidProblem(f"{name}: expected rows of numbers of one length: {error}") from error
+    if not np.isfinite(found).all():
+        raise InvalidProblem(f"{name}: holds a value that is NaN or infinite")
+    return found

@@ -124,6 +124,24 @@ class Solution(eqx.Module):
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         return "\n".join("  ".join(c.rjust(w) for c, w in zip(row, widths, strict=True)) for row in rows)
 
+    def cause(self) -> str:
+        """What holds a plan up that did not converge: the worst row of its certificate, and the largest multiplier.
+
+        Empty for a converged plan, and for one without numbers. For one solution, not a batch.
+        """
+        if bool(self.status == Status.converged) or not np.isfinite(float(self.cost)):
+            return ""
+        row, found = self.certificate.largest_row(), []
+        if row:
+            found.append(f"largest violation: {row}")
+        if self.multipliers is not None:
+            # The last multipliers are of the dilation's limits.
+            names = (*self.certificate.names[: len(self.multipliers.values) - 1], "limits of the final time")
+            sizes = [float(np.max(np.abs(y), initial=0.0)) for y in self.multipliers.values]
+            if len(names) == len(sizes) and max(sizes) > 0.0:
+                found.append(f"largest multiplier: {names[int(np.argmax(sizes))]}")
+        return "; ".join(found)
+
     def report(self) -> str:
         """Status, its likely cause, cost, times, backends and certificate; of a batch, the counts of each status."""
         names = status_names(self.status)
@@ -131,6 +149,7 @@ class Solution(eqx.Module):
             lines = [
                 f"{names}: cost {float(self.cost):.6g}, final time {float(self.final_time):.6g}",
                 Status[self.status],
+                *([cause] if (cause := self.cause()) else []),
                 f"{int(self.iterations)} iterations, {int(self.interior_point_iterations)} steps of the interior point",
                 self.backends.report(),
                 self.certificate.report(),

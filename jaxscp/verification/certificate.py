@@ -8,6 +8,7 @@ Every row has the name and the unit that the problem gives it.
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxscp.core.types import Scalar
@@ -76,6 +77,16 @@ class Certificate(eqx.Module):
         if self.optimality is not None:
             good &= self.optimality <= OPTIMALITY_TOLERANCE
         return good & jnp.all(self.between_nodes <= self.allowed, axis=-1) if between_nodes else good
+
+    def largest_row(self) -> str:
+        """The row that is furthest beyond its tolerance, in words; empty if none is. For one solution, not a batch."""
+        names = (*self.end_names, *self.names)
+        values = np.concatenate([self.end_errors, self.between_nodes])
+        ratios = np.nan_to_num(values / np.concatenate([self.end_tolerances, self.allowed]), posinf=np.inf)
+        if not (ratios > 1.0).any():
+            return ""
+        row = int(np.argmax(ratios))
+        return f"{names[row]}, off by {values[row]:.3g}, which is {ratios[row]:.3g} times its tolerance"
 
     def report(self) -> str:
         """A short text for people; of a batch, a row has the worst element's value and its index."""
