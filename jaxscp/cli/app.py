@@ -20,7 +20,7 @@ from jaxscp.cli.info import info, info_text
 from jaxscp.cli.map_options import MapOptions, closed_gap, gap_text
 from jaxscp.cli.options import with_options
 from jaxscp.cli.report import converged, map_facts, print_report, report, timed
-from jaxscp.cli.requests import CASES, CLEARANCE, JSON, MODES, MapRequest, PlanRequest
+from jaxscp.cli.requests import CASES, CLEARANCE, JSON, MODES, RATE, MapRequest, PlanRequest
 from jaxscp.core.version import __version__
 from jaxscp.corridor import CorridorResult, MapReport, PointCloud, box, build_corridor, draw_map
 from jaxscp.landing import scenarios
@@ -123,6 +123,8 @@ def map_command(request: MapRequest) -> None:
 def _write_files(request: PlanRequest, scenario: LandingScenario, solution: Solution) -> None:
     if request.save is not None:
         solution.trajectory.save(request.save)
+    if request.csv is not None:
+        solution.trajectory.sample(rate=RATE).to_csv(request.csv)
     if request.plot is not None:
         from jaxscp.plot.page import summary
 

@@ -33,6 +33,7 @@ MODES: dict[str, Callable[[int], Planner]] = {
 }
 
 CLEARANCE = CorridorOptions().clearance
+RATE = 100  # rows a second of a table
 
 
 def _writable(path: Path | None) -> Path | None:
@@ -85,6 +86,9 @@ _CLEARANCE = typer.Option(
     help=f"Distance to keep besides the radius, and radius of overlaps, {CLEARANCE:g} by default, m.",
 )
 _SAVE = typer.Option(callback=_writable, help="Write the trajectory (.npz).", metavar="FILE")
+_CSV = typer.Option(
+    callback=_writable, help=f"Write {RATE} states and thrusts a second (.csv).", metavar="FILE"
+)
 _PLOT = typer.Option(callback=_picture, help="Write a picture (.png, .pdf).", metavar="FILE")
 _MASS = typer.Option(callback=positive, metavar="MASS", help="Of the vehicle instead of its own, kg.")
 _SPEED = typer.Option(callback=positive, metavar="SPEED", help="Greatest speed, m/s; none by default.")
@@ -117,6 +121,7 @@ class PlanRequest(MapOptions):
     speed: Annotated[float | None, _SPEED] = None
     time_weight: Annotated[float | None, _TIME_WEIGHT] = None
     save: Annotated[Path | None, _SAVE] = None
+    csv: Annotated[Path | None, _CSV] = None
     plot: Annotated[Path | None, _PLOT] = None
     cache: Annotated[Path | None, _CACHE] = None
     as_json: Annotated[bool, JSON] = False

@@ -141,7 +141,7 @@ def fixed_state(
         >>> [rows.name for rows in goal.rows]
         ['x', 'y']
     """
-    if np.ndim(values) == 0 and not isinstance(values, list | tuple):
+    if not isinstance(values, list | tuple) and np.ndim(values) == 0:
         raise InvalidProblem(
             f"fixed_state: expected one value for each component, [{values}] say, got {values!r}."
         )

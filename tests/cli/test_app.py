@@ -35,7 +35,8 @@ def invoke(*arguments):
 def answer(tmp_path_factory):
     """One run of the command with all outputs."""
     folder = tmp_path_factory.mktemp("plan")
-    result = invoke(*RUN, "--json", "--save", folder / "plan.npz", "--plot", folder / "plan.png")
+    files = "--save", folder / "plan.npz", "--csv", folder / "plan.csv", "--plot", folder / "plan.png"
+    result = invoke(*RUN, "--json", *files)
     return result, folder
 
 
@@ -76,7 +77,9 @@ def test_json_numbers_are_finite(facts):
             yield value
 
     assert facts["optimality"] is None  # the paper's mode claims no optimum
-    values = list(numbers({name: value for name, value in facts.items() if name != "optimality"}))
+    values = list(
+        numbers({name: value for name, value in facts.items() if name not in ("optimality", "info")})
+    )
     assert len(values) > 10
     assert all(isinstance(v, int | float) and math.isfinite(v) for v in values)
 
@@ -97,6 +100,15 @@ def test_saved_trajectory_is_the_plan_in_si_units(answer, facts):
     assert float(path.time[-1]) == pytest.approx(facts["final_time"])
     np.testing.assert_allclose(path.state[0], scenario.start.vector(), atol=1e-6)
     np.testing.assert_allclose(path.state[-1, :3], scenario.goal.position, atol=1e-3)
+
+
+def test_table_is_the_flight(answer, facts):
+    with (answer[1] / "plan.csv").open() as file:
+        names = file.readline().strip().split(",")
+    rows = np.loadtxt(answer[1] / "plan.csv", delimiter=",", skiprows=1)
+    assert names[:2] == ["time [s]", "x [m]"]
+    assert rows.shape[1] == len(names)
+    np.testing.assert_allclose(rows[[0, -1], 0], [0.0, facts["final_time"]], atol=1e-9)
 
 
 def test_picture_is_a_png(answer):
@@ -268,7 +280,7 @@ def test_every_mode_plans_every_case(case, mode):
 
 def test_a_cache_is_used_only_where_one_is_named(monkeypatch, tmp_path):
     folders = []
-    monkeypatch.setattr(cli, "use_cache", folders.append)
+    monkeypatch.setattr(requests, "use_cache", folders.append)
     too_few = ("plan", "ascend", "--nodes", 3)  # ends before any compilation
     assert invoke(*too_few).exit_code == 2
     assert folders == []

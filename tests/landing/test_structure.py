@@ -40,7 +40,7 @@ WRONG = {
     "goal": unchecked("goal", None),
     "limits": unchecked("limits", None),
     "weights": unchecked("weights", None),
-    "cone_angle: expected an array, got one of class float": unchecked("cone_angle", 0.7),
+    "cone_angle: expected an array, got one of class str": unchecked("cone_angle", "wide"),
     "keep_out": unchecked("keep_out", [1.0]),
     "goal_fixed": unchecked("goal_fixed", True),
     "deck_velocity": unchecked("deck_velocity", (1.0, 0.0, 0.0)),

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jaxtyping
@@ -91,7 +92,7 @@ WRONG = {
     ),
     "NaN in the guess": (
         problem,
-        js.Trajectory.from_arrays([0.0, 2.0], [[0.0, 0.0], [np.nan, 0.0]], np.zeros((2, 1))),
+        eqx.tree_at(lambda g: g.state, GUESS, GUESS.state.at[1, 0].set(jnp.nan)),
         r"guess\.state: holds a value that is NaN",
     ),
     "NaN at an end": (
