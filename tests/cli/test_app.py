@@ -108,7 +108,8 @@ def test_table_is_the_flight(answer, facts):
     rows = np.loadtxt(answer[1] / "plan.csv", delimiter=",", skiprows=1)
     assert names[:2] == ["time [s]", "x [m]"]
     assert rows.shape[1] == len(names)
-    np.testing.assert_allclose(rows[[0, -1], 0], [0.0, facts["final_time"]], atol=1e-9)
+    np.testing.assert_allclose(np.diff(rows[:, 0]), 1.0 / requests.RATE, rtol=1e-9)
+    assert 0.0 == rows[0, 0] <= rows[-1, 0] <= facts["final_time"] < rows[-1, 0] + 1.0 / requests.RATE
 
 
 def test_picture_is_a_png(answer):
