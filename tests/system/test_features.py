@@ -195,6 +195,16 @@ def test_a_guess_off_both_ends():
     np.testing.assert_allclose(solved(problem, guess).cost, 1.5, rtol=EXACT)
 
 
+@pytest.mark.parametrize("duration", [1.0, 1.9, 2.1])
+def test_a_solution_is_a_guess_for_another_fixed_time(duration):
+    """Of least energy, 12 d^2 / T^3; the plan for a longer time costs less than the optimum of a shorter one."""
+    problem = lambda t: double_integrator(ENERGY, js.Time(6, js.FixedTime(t)))  # noqa: E731
+    solution = js.solve(problem(2.0), js.straight_line(problem(2.0)))
+    found = js.solve(problem(duration), solution)
+    assert js.status_names(found.status) == "converged"
+    np.testing.assert_allclose(found.cost, 12.0 / duration**3, rtol=1e-5)
+
+
 def test_a_solution_is_a_guess_for_another_number_of_nodes():
     coarse = solved(double_integrator(ENERGY, js.Time(6, js.FixedTime(2.0))))
     fine = double_integrator(ENERGY, js.Time(11, js.FixedTime(2.0)))
