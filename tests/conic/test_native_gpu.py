@@ -42,7 +42,14 @@ SHAPES = {
     "variables outnumber entries": {"nodes": 3, "variables": 18, "rows": 2, "coupled": 2, "norm": False},
     "too many coupled": {"nodes": 3, "variables": 6, "rows": 3, "cones": 1, "coupled": 4},
 }
-TIERS = {"norm cost": [], "a chain too long for shared memory": [pytest.mark.nightly]}  # the others are slow
+BY_NIGHT = (
+    "a chain too long for shared memory",
+    "one lane per row, and an odd column left",
+    "none coupled",
+    "variables outnumber entries",
+    "too many coupled",
+)
+TIERS = {"norm cost": [], **{name: [pytest.mark.nightly] for name in BY_NIGHT}}  # the others are slow
 
 
 def emulated(program, folder: Path) -> ctypes.CDLL:

@@ -175,7 +175,7 @@ def mirrored(s):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_mirrored_scene_has_mirrored_gradients(planned):
     floats, plan = planned
     values, *gradients, _ = plan(floats)

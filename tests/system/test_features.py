@@ -168,6 +168,7 @@ def test_a_terminal_cost_that_is_not_affine_in_time():
     np.testing.assert_allclose(solved(problem, final_time=2.0).final_time, 3.0, rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_checks_are_for_the_certificate_alone():
     """A check that the optimum breaks does not move it, and is not passed over."""
     check = js.Constraint(slower, js.NonNegative(), 0.5, name="speed")

@@ -66,7 +66,7 @@ def test_a_trajectory_is_replanned_like_its_solution():
     np.testing.assert_allclose(position(from_trajectory), position(from_solution), atol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_no_zones_and_no_elements():
     empty = jaxscp.ellipsoids(np.zeros((0, 3)), [])
     zones = dataclasses.replace(room(), keep_out=empty, gates=empty)

@@ -43,11 +43,13 @@ def assert_replans(plan, scenario):
     np.testing.assert_allclose(float(again.cost), float(fresh.cost), rtol=SAME_COST)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scenario", CHANGES.values(), ids=CHANGES)
 def test_a_plan_off_its_ends_returns_to_them(plan, scenario):
     assert_replans(plan, scenario)
 
 
+@pytest.mark.slow
 def test_a_plan_from_a_file_replans_alike(plan, tmp_path):
     scenario = CHANGES["goal away by 1 m"]
     plan.save(tmp_path / "plan.npz", scenario)

@@ -18,7 +18,10 @@ ROUNDING = 1e-10
 
 @pytest.mark.parametrize(
     "grid",
-    [pytest.param(Grid(), marks=pytest.mark.slow), Grid(subintervals=3, steps=2)],
+    [
+        pytest.param(Grid(), marks=pytest.mark.slow),
+        pytest.param(Grid(subintervals=3, steps=2), marks=pytest.mark.slow),
+    ],
     ids=["default", "coarse"],
 )
 def test_it_is_what_automatic_differentiation_says(grid):

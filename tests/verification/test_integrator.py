@@ -155,6 +155,7 @@ def test_a_failed_integration_is_infinite_and_other_elements_are_not(emulated):
     assert np.isinf(found[1:]).all(axis=(2, 3)).tolist() == [[False, True, True], [True, True, True]]
 
 
+@pytest.mark.slow
 @needs_compiler
 def test_a_kernel_of_other_dynamics_integrates_nothing(emulated, monkeypatch):
     """The rollout ends at the first interval whose initial state derivative differs from the dynamics.
