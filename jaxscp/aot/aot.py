@@ -99,7 +99,7 @@ class CompiledPlanner:
             TypeError: if parts, shapes or dtypes are not those that the planner was compiled for; the message names
                 the field. The number of obstacles is free.
         """
-        scenario = jax.tree.map(as_floats, scenario)
+        scenario = with_arrays(scenario)
         self._check(scenario)
         return self.run(scenario.solver_inputs())
 
@@ -122,6 +122,11 @@ class CompiledPlanner:
         differs = difference(self.scenario, spec_of(one.solver_inputs()))
         if differs:
             raise TypeError(f"the planner was compiled for scenarios of another shape: {differs}")
+
+
+def with_arrays(scenario: Checked) -> Any:
+    """A scenario whose numbers of Python and NumPy, set by ``eqx.tree_at`` say, are arrays."""
+    return jax.tree.map(as_floats, scenario)
 
 
 def trace(

@@ -26,7 +26,7 @@ _lines: IO[bytes] | None = None
 def without_false_alarms() -> Iterator[None]:
     """Drop XLA's false alarms; threads may be inside together.
 
-    What the process writes to file descriptor 2 meanwhile appears when the last thread leaves.
+    All other lines that the process writes to standard error meanwhile appear when the last thread leaves.
     """
     _enter()
     try:

@@ -27,6 +27,13 @@ from jaxscp.backends.sources import SHARED, digest
 LEVELS = ("v4", "v3", "any")
 """Instruction sets, best first: x86-64-v4, x86-64-v3, and the compiler's default."""
 
+OTHER_JAXLIB = "refused by this jaxlib: install jaxscp again"
+OTHER_SOURCES = "older than its sources: install jaxscp again"
+OTHER_PROCESSORS = "compiled for other processors: install jaxscp again on this machine"
+NOT_COMPILED = "not compiled: install a C++ compiler, then jaxscp again"
+REASONS = OTHER_JAXLIB, OTHER_SOURCES, OTHER_PROCESSORS, NOT_COMPILED
+"""Why a library does not serve; of several instruction sets, the first that applies to one is told."""
+
 
 def in_float64(tree: Any) -> bool:
     """Whether every array is float64, the only type that the C++ reads."""
@@ -89,16 +96,8 @@ class Library(NamedTuple):
         """Why the library does not serve; empty if it does."""
         if self.available():
             return ""
-        files = [name for name in LEVELS if _file(self.stem, name).exists()]
-        if not files:
-            return "not compiled: install a C++ compiler, then jaxscp again"
-        handles = [ctypes.CDLL(str(_file(self.stem, name))) for name in files]
-        runnable = [handle for handle in handles if handle.jaxscp_runs_here()]
-        if not runnable:
-            return "compiled for other processors: install jaxscp again on this machine"
-        if all(compiled_from(handle) != digest(self.stem.parent) for handle in runnable):
-            return "older than its sources: install jaxscp again"
-        return "refused by this jaxlib: install jaxscp again"
+        reasons = {_opened(self.stem, name)[1] or OTHER_JAXLIB for name in LEVELS}
+        return next(reason for reason in REASONS if reason in reasons)
 
 
 _PACKAGE = Path(__file__).parents[1]
@@ -146,20 +145,27 @@ def library(stem: Path, level: str) -> ctypes.CDLL | None:
     Also None, with a warning, if the library was compiled from other sources than the present ones: such a library may
     expect other arguments.
     """
-    file = _file(stem, level)
-    if not file.exists():
-        return None
-    found = ctypes.CDLL(str(file))
-    if not found.jaxscp_runs_here():
-        return None
-    if compiled_from(found) != digest(stem.parent):
+    found, reason = _opened(stem, level)
+    if reason == OTHER_SOURCES:
         warnings.warn(
             "jaxscp: the compiled C++ is older than its sources and is not used, and jaxscp is slower; "
             "install jaxscp again to compile it again",
             stacklevel=2,
         )
-        return None
     return found
+
+
+def _opened(stem: Path, level: str) -> tuple[ctypes.CDLL | None, str]:
+    """Library for an instruction set and no reason, or None and the reason why it cannot serve."""
+    file = _file(stem, level)
+    if not file.exists():
+        return None, NOT_COMPILED
+    found = ctypes.CDLL(str(file))
+    if not found.jaxscp_runs_here():
+        return None, OTHER_PROCESSORS
+    if compiled_from(found) != digest(stem.parent):
+        return None, OTHER_SOURCES
+    return found, ""
 
 
 def _file(stem: Path, level: str) -> Path:

@@ -10,7 +10,7 @@ from jaxscp.core.types import Flag
 from jaxscp.landing.mission import Mission
 from jaxscp.landing.rules import Rule, rules
 from jaxscp.landing.structure import check_parts
-from jaxscp.problem.errors import InvalidScenario as InvalidScenario
+from jaxscp.problem.errors import InvalidScenario
 
 
 def validate(scenario: Mission, nodes: int) -> None:

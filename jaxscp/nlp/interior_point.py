@@ -45,7 +45,7 @@ class Iterate(eqx.Module):
     y: Multipliers
     slack: Values
     values: Values
-    """Of the inequalities in their cones, predicted by the last step."""
+    """Of the second-order conditions in their cones, predicted by the last step; other cones have no rows."""
     chosen: ratio_form.Chosen
     """Second-order conditions that are in ratio form; none in the last steps."""
     mu: Scalar
@@ -131,7 +131,7 @@ class NLPInteriorPoint(eqx.Module):
             z=z,
             y=Multipliers(y.flow, y.initial, y.final, multipliers),
             slack=slack,
-            values=values,
+            values=ratio_form.curved_alone(chosen, values),
             chosen=chosen,
             mu=mu,
             inertia_correction=jnp.zeros_like(mu),
@@ -163,13 +163,15 @@ class NLPInteriorPoint(eqx.Module):
         dual = _step_length(problem, old.y.values, step.y.values)
         good = factor.definite & jnp.isfinite(size)
         advance = lambda v, dv, t: jax.tree.map(lambda a, b: jnp.where(good, a + t * b, a), v, dv)  # noqa: E731
-        changes = jacobian_product(problem, in_cones.jacobians, step.z)
+        curved_values, slopes = (
+            ratio_form.curved_alone(old.chosen, part) for part in (in_cones.values, in_cones.jacobians)
+        )
         last_steps = ~ratio_form.any_of(old.chosen)
         new = Iterate(
             z=advance(old.z, step.z, primal),
             y=advance(old.y, step.y, dual),
             slack=advance(old.slack, step.slack, primal),
-            values=advance(in_cones.values, changes, primal),
+            values=advance(curved_values, jacobian_product(problem, slopes, step.z), primal),
             chosen=old.chosen,
             mu=mu,
             inertia_correction=correction,
@@ -196,15 +198,12 @@ def _in_ratio_form(at: Iterate, model: SecondOrderModel) -> tuple[SecondOrderMod
 
 def _into_cones(problem: ScaledTimeProblem, at: Iterate, now: Flag) -> Iterate:
     """The iterate with every condition in its cone, if ``now``."""
-    slack = ratio_form.back_to_cones(at.chosen, at.slack, at.values)
+    leaving = jax.tree.map(lambda chosen: chosen & now, at.chosen)
+    slack = ratio_form.back_to_cones(leaving, at.slack, at.values)
     central = tuple(-at.mu * cone.barrier_gradient(s) for cone, s in zip(cones(problem), slack, strict=True))
-    multipliers = ratio_form.replaced(at.chosen, at.y.values, central)
-    slack, multipliers, chosen = jax.tree.map(
-        lambda a, b: jnp.where(now, a, b),
-        (slack, multipliers, jax.tree.map(jnp.zeros_like, at.chosen)),
-        (at.slack, at.y.values, at.chosen),
-    )
-    return eqx.tree_at(lambda i: (i.slack, i.y.values, i.chosen), at, (slack, multipliers, chosen))
+    multipliers = ratio_form.replaced(leaving, at.y.values, central)
+    staying = jax.tree.map(lambda chosen: chosen & ~now, at.chosen)
+    return eqx.tree_at(lambda i: (i.slack, i.y.values, i.chosen), at, (slack, multipliers, staying))
 
 
 def _kkt_residual(

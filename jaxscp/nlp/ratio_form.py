@@ -1,15 +1,18 @@
 """Second-order conditions away from their apex, as smooth inequalities of one number.
 
-Where t > 0, |w| <= t is the same as h(t, w) = (t - |w|^2 / t) / 2 >= 0, and h is concave (Benson and Vanderbei,
+Where t > 0, |w| <= t is the same as h(t, w) = (t - |w|^2 / t) / 2 >= 0, and h is concave. Source: Benson and Vanderbei,
 "Solving problems with semidefinite and conic constraints using interior-point methods for nonlinear programming",
-Mathematical Programming, 2003).
+Mathematical Programming, 2003.
 
 A slack in a second-order cone must stay inside the curved boundary: at distance d from it, no step along it is longer
 than sqrt(2 t d). Where a limit holds at many points, each step turns the slack of one of them, and the iterations
 crawl. The slack of h is a number, which turns nothing. The boundary's curvature is in the Hessian instead.
 
-Shapes stay those of the cones: a number h is the value (h, 0, ..., 0) of the same second-order cone.
+No shape changes: a number h is the value (h, 0, ..., 0) of the same second-order cone.
 """
+
+from collections.abc import Callable
+from typing import Any
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
@@ -45,10 +48,7 @@ def away_from_apex(problem: ScaledTimeProblem, values: Values) -> Chosen:
 
 def in_ratio_form(chosen: Chosen, values: Values) -> Values:
     """(h, 0, ..., 0) where chosen, else the values."""
-    return tuple(
-        v if at is None else jnp.where(at[..., None], _alone(_height(v), v), v)
-        for at, v in zip(chosen, values, strict=True)
-    )
+    return _changed(chosen, lambda v: _alone(_height(v), v), values)
 
 
 def jacobians_in_ratio_form(
@@ -76,31 +76,36 @@ def jacobians_in_ratio_form(
 
 
 def cone_multipliers(chosen: Chosen, y: Multipliers, values: Values) -> Multipliers:
-    """Multipliers of the cones' own values, from those of h: y dh."""
-    of = tuple(
-        m if at is None else jnp.where(at[..., None], m[..., :1] * _gradient(v), m)
-        for at, m, v in zip(chosen, y.values, values, strict=True)
-    )
-    return Multipliers(y.flow, y.initial, y.final, of)
+    """Multipliers of the values in the cones, from the multipliers of h: y dh."""
+    in_cones = _changed(chosen, lambda m, v: m[..., :1] * _gradient(v), y.values, values)
+    return Multipliers(y.flow, y.initial, y.final, in_cones)
 
 
 def back_to_cones(chosen: Chosen, slack: Values, values: Values) -> Values:
-    """Slacks in the cones from those of h: (sqrt(|w|^2 + t s), w).
+    """Slacks in the cones, (sqrt(|w|^2 + t s), w), from slacks s of h.
 
-    Half of the slack s is left: the barrier of the cone is half that of t h.
+    That leaves half of s, because the barrier of the cone is half the barrier of t h.
     """
-    return tuple(
-        s if at is None else jnp.where(at[..., None], _with_head(v, s[..., :1]), s)
-        for at, s, v in zip(chosen, slack, values, strict=True)
-    )
+    return _changed(chosen, lambda s, v: _with_head(v, s[..., :1]), slack, values)
 
 
 def replaced(chosen: Chosen, values: Values, by: Values) -> Values:
-    """Values with those of the chosen conditions replaced."""
-    return tuple(
-        v if at is None else jnp.where(at[..., None], new, v)
-        for at, v, new in zip(chosen, values, by, strict=True)
-    )
+    """Values of ``by`` where chosen, else the values."""
+    return _changed(chosen, lambda _, new: new, values, by)
+
+
+def curved_alone(chosen: Chosen, arrays: Values | Jacobians) -> tuple[Array, ...]:
+    """Values, or Jacobians, without the rows of all other cones."""
+    return tuple(v[:, :, :0] if at is None else v for at, v in zip(chosen, arrays, strict=True))
+
+
+def _changed(chosen: Chosen, change: Callable[..., Array], values: Values, *others: Values) -> Values:
+    """Values, changed where chosen."""
+    new: list[Any] = [
+        v if at is None else jnp.where(at[..., None], change(v, *more), v)
+        for at, v, *more in zip(chosen, values, *others, strict=True)
+    ]
+    return tuple(new)
 
 
 def any_of(chosen: Chosen) -> Bool[Array, ""]:

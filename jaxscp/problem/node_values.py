@@ -1,9 +1,9 @@
 """Values at the nodes: times, integrals over scaled time, and typical sizes."""
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
-from jaxscp.core.types import Nodes
+from jaxscp.core.types import Nodes, Scalar
 
 
 def typical_sizes(z: Float[Array, "nodes variables"]) -> Float[Array, "variables"]:
@@ -28,6 +28,19 @@ def node_times(dilation: Nodes) -> Nodes:
         [0.0, 1.0, 2.0]
     """
     return integrate_nodes(dilation)
+
+
+def interval_at(times: Nodes, dilation: Nodes, time: Scalar) -> tuple[Int[Array, ""], Scalar]:
+    """Number of the interval at a time between the first node and the last, and the fraction of it in scaled time.
+
+    Within an interval t grows by width (s0 f + (s1 - s0) f^2 / 2) at the fraction f: this takes the stable root.
+    """
+    intervals = times.shape[0] - 1
+    i = jnp.clip(jnp.searchsorted(times, time, side="right") - 1, 0, intervals - 1)
+    s0, s1 = dilation[i], dilation[i + 1]
+    elapsed = (time - times[i]) * intervals
+    root = jnp.sqrt(jnp.maximum(s0**2 + 2.0 * (s1 - s0) * elapsed, 0.0))
+    return i, 2.0 * elapsed / (s0 + root)
 
 
 def integrate_nodes(rate: Nodes) -> Nodes:

@@ -14,6 +14,7 @@ from jaxscp.core.types import Scalar
 from jaxscp.dynamics.base import Dynamics
 from jaxscp.dynamics.rigid_body import RigidBody
 from jaxscp.integration import tableaus
+from jaxscp.problem.node_values import interval_at
 
 STEPS = 20  # Runge-Kutta steps from a node: four times as many as the solver's, so 4096 times as accurate
 ROUNDING = 1e-9  # of the final time: a time so little outside counts as inside
@@ -159,13 +160,9 @@ def _sample(dynamics: Dynamics, pieces: Pieces, time: Scalar, steps: int):
     rounding = ROUNDING * (end - begin)
     inside = (time >= begin - rounding) & (time <= end + rounding)
     time = jnp.clip(time, begin, end)
-    i = jnp.clip(jnp.searchsorted(pieces.time, time, side="right") - 1, 0, intervals - 1)
+    i, fraction = interval_at(pieces.time, pieces.dilation, time)
     first, last = pieces.first[i], pieces.last[i]
     s0, slope = pieces.dilation[i], pieces.dilation[i + 1] - pieces.dilation[i]
-    elapsed = (time - pieces.time[i]) * intervals
-    # Time grows by width (s0 f + slope f^2 / 2) at the fraction f of an interval: the stable root.
-    root = jnp.sqrt(jnp.maximum(s0**2 + 2.0 * slope * elapsed, 0.0))
-    fraction = 2.0 * elapsed / (s0 + root)
 
     def rate(part, state):
         at = part * fraction

@@ -16,7 +16,7 @@ from jaxscp.core.arrays import namespace
 from jaxscp.core.types import Controls, Nodes, Scalar, States
 from jaxscp.dynamics.base import Dynamics
 from jaxscp.problem.errors import InvalidProblem
-from jaxscp.problem.node_values import node_times
+from jaxscp.problem.node_values import interval_at, node_times
 from jaxscp.problem.samples import ROUNDING, STEPS, Pieces, Samples, samples_at
 
 
@@ -60,13 +60,8 @@ class Trajectory(eqx.Module):
     def scaled_time(self, time: Scalar | float) -> Scalar:
         """Scaled time tau of a time in seconds (held at the ends); inverts t(tau) exactly."""
         time = jnp.clip(time, self.time[0], self.time[-1])
-        last = self.time.shape[0] - 2
-        i = jnp.clip(jnp.searchsorted(self.time, time, side="right") - 1, 0, last)
-        # Within an interval t grows by width (s0 f + (s1 - s0) f^2 / 2) at the fraction f: take the stable root.
-        s0, s1 = self.dilation[i], self.dilation[i + 1]
-        elapsed = (time - self.time[i]) * (self.time.shape[0] - 1)
-        root = jnp.sqrt(jnp.maximum(s0**2 + 2.0 * (s1 - s0) * elapsed, 0.0))
-        return (i.astype(self.time.dtype) + 2.0 * elapsed / (s0 + root)) / (last + 1)
+        i, fraction = interval_at(self.time, self.dilation, time)
+        return (i.astype(self.time.dtype) + fraction) / (self.time.shape[0] - 1)
 
     def control_at(self, time: Scalar | float) -> Float[Array, "controls"]:
         """Controls at a time in seconds, exactly as planned (held at the ends)."""

@@ -42,12 +42,6 @@ def load_planner(file: str | os.PathLike, *, compile: bool = True) -> "CompiledP
 
 def _solution_classes() -> Iterable[type]:
     """Classes of a solution's pytree."""
-    from jaxscp.backends.serving import Backends
-    from jaxscp.dynamics.augmented import DYNAMICS
-    from jaxscp.problem.multipliers import Multipliers
-    from jaxscp.problem.trajectory import Trajectory
-    from jaxscp.scp.history import History
-    from jaxscp.solver.solution import Solution
-    from jaxscp.verification.certificate import Certificate
+    from jaxscp.solver.solution import CLASSES
 
-    return Solution, Trajectory, Multipliers, Certificate, History, Backends, *DYNAMICS
+    return CLASSES

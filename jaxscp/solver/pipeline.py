@@ -17,7 +17,6 @@ from jax.core import Tracer
 
 from jaxscp.aot import aot, export, planner_cache
 from jaxscp.backends.xla import any_rank, jit_with_options
-from jaxscp.core.arrays import as_floats
 from jaxscp.core.implicit import undefined_unless
 from jaxscp.core.status import Status
 from jaxscp.core.types import Flag
@@ -49,7 +48,7 @@ class Pipeline(eqx.Module):
     @any_rank
     def __call__(self, scenario: Scenario) -> Solution:
         """The solution of a scenario."""
-        scenario = _with_arrays(scenario)
+        scenario = aot.with_arrays(scenario)
         self.check(scenario)
         inputs = scenario.solver_inputs()
         if (compiled := planner_cache.cached(self._maker(), inputs)) is not None:
@@ -59,7 +58,7 @@ class Pipeline(eqx.Module):
     @any_rank
     def again(self, solution: Solution | Trajectory, scenario: Scenario) -> Solution:
         """The solution of a changed scenario, from the solution of a similar one, or from its trajectory."""
-        scenario = _with_arrays(scenario)
+        scenario = aot.with_arrays(scenario)
         self.check(scenario)
         inputs = scenario.solver_inputs()
         known = solution if isinstance(solution, Solution) else None
@@ -89,7 +88,7 @@ class Pipeline(eqx.Module):
         _check_class(scenario)
         # Not as parts of another program: XLA then compiles them exactly as it does for a plain call.
         parts = [functools.partial(part.function, self) for part in (_setup, _solve, _conclude)]
-        return aot.trace(parts, _with_arrays(scenario), self.nodes, batch_size)
+        return aot.trace(parts, aot.with_arrays(scenario), self.nodes, batch_size)
 
     def setup(self, scenario: Scenario) -> tuple[ScaledTimeProblem, Any, Any]:
         """Problem over scaled time, first node variables and context: the inputs of the iterations."""
@@ -159,11 +158,6 @@ def _conclude(
 ) -> Solution:
     solution = conclude(pipeline.method, pipeline.samples, problem, result, context)
     return _undefined_unless(ok, solution)
-
-
-def _with_arrays(scenario: Scenario) -> Scenario:
-    """A scenario whose numbers of Python and NumPy, set by ``eqx.tree_at`` say, are arrays."""
-    return jax.tree.map(as_floats, scenario)
 
 
 def _strongly_typed(values):

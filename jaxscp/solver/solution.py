@@ -90,8 +90,7 @@ class Solution(eqx.Module):
             ValueError: if the file is damaged, of a newer format, or holds no solution; the message names the field.
             OSError: if the file cannot be read.
         """
-        classes = Solution, Trajectory, Multipliers, Certificate, History, Backends, *DYNAMICS
-        found = pytree_file.read(file, "solution", classes)
+        found = pytree_file.read(file, "solution", CLASSES)
         if not isinstance(found, Solution):
             raise ValueError(f"{file}: holds no solution; Solution.save writes one")
         return found
@@ -177,6 +176,9 @@ class Solution(eqx.Module):
         moved = f"{h.step_norm[index]:.1e}", f"{h.defect[index]:.1e}", str(int(h.conic_iterations[index]))
         return (str(index + 1), *numbers, *moved)
 
+
+CLASSES = Solution, Trajectory, Multipliers, Certificate, History, Backends, *DYNAMICS
+"""Classes of a solution's pytree: files name them."""
 
 _HEADINGS = "iteration", "cost", "final time", "|nu|", "|dz|", "defect", "Newton steps"
 

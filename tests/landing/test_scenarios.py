@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import jaxscp
-from jaxscp.corridor import box, connect
+from tests.support.rooms import room
 
-CORRIDOR = connect([box([-1, -5, 0], [11, 5, 5])])
+CORRIDOR = room().corridor
 ENDS = jaxscp.at_rest([0, 0, 1]), jaxscp.at_rest([6, 1, 1])
 PARTS = {
     "airframe": jaxscp.airframes.crazyflie2(),

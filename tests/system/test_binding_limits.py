@@ -18,7 +18,7 @@ PLANNER = jaxscp.Planner()
 GRID = jaxscp.NewtonSCP().grid
 AGAIN = NLPInteriorPoint(initial_mu=MU)
 BASE = jaxscp.scenarios.platform_to_platform()
-SAME = 1e-6  # relative: a plan made again from the optimum, with a mass that differs by rounding
+ROUNDING = 1e-6  # relative, of a cost: the accuracy of an optimum
 DIFFERENCE = 1e-4  # relative: a gradient against central differences
 STEP = 1e-4  # of differences, relative
 
@@ -71,7 +71,7 @@ def test_the_plan_is_an_optimum(limits):
 def test_a_looser_limit_costs_no_more():
     """Where two plans take the same way; the optimum falls as the limit rises."""
     costs = [float(PLANNER(limited(limits)).cost) for limits in SPEEDS]
-    assert all(after <= before * (1.0 + SAME) for before, after in itertools.pairwise(costs))
+    assert all(after <= before * (1.0 + ROUNDING) for before, after in itertools.pairwise(costs))
 
 
 @pytest.mark.nightly

@@ -7,17 +7,10 @@ import numpy as np
 import pytest
 
 import jaxscp
-from jaxscp.corridor import box, connect
+from tests.support.rooms import room
 
 SAME_COST = 5e-3  # relative; another start may lead to another local optimum of nearly the same cost
 PLANNER = jaxscp.Planner()
-
-
-def room(start=(0.0, 0.0, 1.0), goal=(6.0, 1.0, 1.0), yaw=0.0):
-    """An empty room of 12 x 10 x 5 m."""
-    corridor = connect([box([-1.0, -5.0, 0.0], [11.0, 5.0, 5.0])], joints=[])
-    return jaxscp.scenarios.through(corridor, jaxscp.at_rest(start), jaxscp.at_rest(goal, yaw))
-
 
 CHANGES = {
     "start back by 1 mm": room(start=(-0.001, 0.0, 1.0)),
