@@ -48,9 +48,10 @@ def conclude(
         context: of the scenario, or None.
         reported: the problem in the user's units; None if it is the one that was solved.
     """
-    trajectory, multipliers = trajectory_of(problem, result.z), result.multipliers
+    trajectory, multipliers, z = trajectory_of(problem, result.z), result.multipliers, result.z
     if reported is not None:
         trajectory = reported.units.trajectory(trajectory)
+        z = reported.problem.join(trajectory.state, trajectory.control, trajectory.dilation)
         if multipliers is not None:
             multipliers = reported.units.multipliers(problem, multipliers)
     asked = problem if reported is None else reported.problem
@@ -71,7 +72,7 @@ def conclude(
         certificate=certificate,
         history=_in_units(result.history, *_sizes(problem, reported)),
         backends=result.backends,
-        z=result.z,
+        z=z,
         context=context,
     )
 

@@ -1,5 +1,6 @@
 """A scene in other units, at another place or in another direction gives the same plan; all share one compilation."""
 
+import dataclasses
 import functools
 from typing import Any
 
@@ -64,6 +65,76 @@ def test_units_of_a_scene_in_its_own_units_are_one():
 
 def turned(angle):
     return units(turn=rotations.from_yaw(angle))
+
+
+def in_body_axes(angle):
+    """The scene with other body axes: old axes turned about z by an angle."""
+    turn = rotations.from_yaw(angle)
+    matrix = rotations.rotation_matrix(turn).T
+    s, frame, body = scene(), scene().airframe, scene().airframe.body
+    body = dataclasses.replace(
+        body,
+        inertia=matrix @ body.inertia @ matrix.T,
+        thrust_map=matrix @ body.thrust_map,
+        torque_map=matrix @ body.torque_map,
+    )
+
+    def renamed(state):
+        attitude = rotations.multiply(state.attitude, turn)
+        return dataclasses.replace(state, attitude=attitude, body_rate=matrix @ state.body_rate)
+
+    frame = dataclasses.replace(frame, body=body)
+    return dataclasses.replace(s, airframe=frame, start=renamed(s.start), goal=renamed(s.goal))
+
+
+def with_other_rotors(order):
+    """The scene with its rotors in another order."""
+    order, frame = np.array(order), scene().airframe
+    maps = frame.body.thrust_map[:, order], frame.body.torque_map[:, order]
+    body = dataclasses.replace(frame.body, thrust_map=maps[0], torque_map=maps[1])
+    least, most = frame.thrust_min[order], frame.thrust_max[order]
+    frame = dataclasses.replace(frame, body=body, thrust_min=least, thrust_max=most)
+    return dataclasses.replace(scene(), airframe=frame)
+
+
+def mirrored():
+    """The scene's image in the plane y = 0: lengths along y, and turns about x and z, change their signs."""
+    flip = jnp.diag(jnp.array([1.0, -1.0, 1.0]))
+    s, frame, body = scene(), scene().airframe, scene().airframe.body
+    body = dataclasses.replace(
+        body,
+        inertia=flip @ body.inertia @ flip,
+        thrust_map=flip @ body.thrust_map,
+        torque_map=-flip @ body.torque_map,
+    )
+
+    def image(state):
+        attitude = state.attitude * jnp.array([1.0, -1.0, 1.0, -1.0])
+        position, velocity = flip @ state.position, flip @ state.velocity
+        return type(state)(position, velocity, attitude, -flip @ state.body_rate)
+
+    corridor = s.corridor
+    corridor = dataclasses.replace(corridor, normals=corridor.normals @ flip, joints=corridor.joints @ flip)
+    frame = dataclasses.replace(frame, body=body)
+    return dataclasses.replace(s, airframe=frame, start=image(s.start), goal=image(s.goal), corridor=corridor)
+
+
+RENAMED = {
+    "rotors": (lambda: with_other_rotors([2, 0, 3, 1]), np.ones(3)),
+    "body axes": (lambda: in_body_axes(np.pi / 4.0), np.ones(3)),
+    "mirror": (mirrored, np.array([1.0, -1.0, 1.0])),
+}
+
+
+@pytest.mark.parametrize("name", RENAMED)
+def test_the_same_path_under_other_names(name):
+    changed, signs = RENAMED[name]
+    found = PLANNER(changed())
+    assert jaxscp.status_names(found.status) == "converged"
+    assert abs(int(found.iterations) - int(plan().iterations)) <= 1
+    np.testing.assert_allclose(found.cost, plan().cost, rtol=ACCURACY)
+    expected = plan().trajectory.state[:, :3] * signs
+    np.testing.assert_allclose(found.trajectory.state[:, :3], expected, atol=ACCURACY)
 
 
 FEW = {
