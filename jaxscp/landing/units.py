@@ -1,7 +1,7 @@
 """Units of a landing, taken from the landing itself: the solver works on numbers near one at every size.
 
-In these units gravity is 9.81, the mass is that of the paper's vehicle, and the route is eight long. The start is the
-origin, and the goal lies ahead of it. The units have no derivatives: an optimum does not depend on them.
+In these units gravity is 9.81, the mass is the mass of the paper's vehicle, and the route is eight long. The start is
+the origin, and the goal lies ahead of it. The units have no derivatives: an optimum does not depend on them.
 """
 
 import dataclasses
@@ -91,7 +91,7 @@ class Units(eqx.Module):
         )
 
     def multipliers(self, problem: ScaledTimeProblem, own: Multipliers) -> Multipliers:
-        """Multipliers in the user's units, from those of the problem in the solver's.
+        """Multipliers in the user's units, from the multipliers in the solver's units.
 
         A multiplier is a derivative of the cost by a residual: its unit is the cost's over the residual's.
         """
