@@ -3,8 +3,10 @@
 import importlib.util
 import os
 import platform
+import re
 import shutil
 import subprocess
+import sysconfig
 import tempfile
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -53,7 +55,8 @@ class NativeBuild(BuildHookInterface):
             )
             return
         build_data["pure_python"] = False
-        build_data["infer_tag"] = True
+        # no library refers to Python: one wheel serves every version
+        build_data["tag"] = f"py3-none-{re.sub('[-.]', '_', sysconfig.get_platform())}"
         build_data["artifacts"] += [str(library.relative_to(self.root)) for library in libraries]
 
 

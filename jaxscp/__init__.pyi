@@ -1,68 +1,83 @@
-# Imported on first use: see ``__init__.py``.
+# Imported on first use: see ``__init__.py``. In the order in which data flows.
 
-from . import conic as conic
-from . import corridor as corridor
-from . import plot as plot
-from .aot.aot import CompiledPlanner as CompiledPlanner
-from .aot.archive import InvalidExport as InvalidExport
-from .aot.cache_folder import use_cache as use_cache
-from .backends.serving import Backends as Backends
-from .backends.serving import PerformanceWarning as PerformanceWarning
-from .cones.cone import NonNegative as NonNegative
-from .cones.cone import SecondOrder as SecondOrder
-from .cones.cone import Zero as Zero
-from .core.status import Status as Status
-from .core.status import status_names as status_names
-from .dynamics import airframes as airframes
-from .dynamics.augmented import with_integral as with_integral
-from .dynamics.augmented import with_static as with_static
+# --- a problem: dynamics, cost, constraints, ends, time ---
 from .dynamics.base import Dynamics as Dynamics
 from .dynamics.double_integrator import DoubleIntegrator as DoubleIntegrator
 from .dynamics.rigid_body import RigidBody as RigidBody
-from .landing import scenarios as scenarios
-from .landing.mission import BodyState as BodyState
-from .landing.mission import Components as Components
-from .landing.mission import Ellipsoids as Ellipsoids
-from .landing.mission import FlightLimits as FlightLimits
-from .landing.mission import Weights as Weights
-from .landing.mission import at_rest as at_rest
-from .landing.mission import ellipsoids as ellipsoids
-from .landing.mission import fixed as fixed
-from .landing.mission import flight_limits as flight_limits
-from .landing.scenario import LandingScenario as LandingScenario
-from .landing.validation import InvalidScenario as InvalidScenario
-from .landing.validation import validate as validate
-from .planner.planner import Planner as Planner
-from .problem.boundary import Boundary as Boundary
-from .problem.boundary import CoupledEnds as CoupledEnds
-from .problem.boundary import EndCondition as EndCondition
-from .problem.boundary import EndRows as EndRows
-from .problem.boundary import fixed_state as fixed_state
-from .problem.boundary import periodic as periodic
-from .problem.bounds import bounds as bounds
-from .problem.constraint import AcrossIntervals as AcrossIntervals
-from .problem.constraint import AtNodes as AtNodes
+from .dynamics.augmented import with_integral as with_integral
+from .dynamics.augmented import with_static as with_static
+from .problem.cost import Cost as Cost
+from .cones.cone import Zero as Zero
+from .cones.cone import NonNegative as NonNegative
+from .cones.cone import SecondOrder as SecondOrder
 from .problem.constraint import Constraint as Constraint
 from .problem.constraint import Throughout as Throughout
-from .problem.cost import Cost as Cost
-from .problem.errors import InvalidProblem as InvalidProblem
-from .problem.guess import straight_line as straight_line
-from .problem.problem import OptimalControlProblem as OptimalControlProblem
-from .problem.scale import Scale as Scale
-from .problem.time import FixedTime as FixedTime
-from .problem.time import FreeTime as FreeTime
+from .problem.constraint import AtNodes as AtNodes
+from .problem.constraint import AcrossIntervals as AcrossIntervals
+from .problem.bounds import bounds as bounds
+from .problem.boundary import Boundary as Boundary
+from .problem.boundary import fixed_state as fixed_state
+from .problem.boundary import EndCondition as EndCondition
+from .problem.boundary import EndRows as EndRows
+from .problem.boundary import CoupledEnds as CoupledEnds
+from .problem.boundary import periodic as periodic
 from .problem.time import Time as Time
+from .problem.time import FreeTime as FreeTime
+from .problem.time import FixedTime as FixedTime
+from .problem.problem import OptimalControlProblem as OptimalControlProblem
+from .problem.errors import InvalidProblem as InvalidProblem
+
+# --- a guess ---
 from .problem.trajectory import Trajectory as Trajectory
+from .problem.guess import straight_line as straight_line
+
+# --- a landing: vehicle, ends, corridor, limits, zones ---
+from .dynamics import airframes as airframes
+from .landing.mission import BodyState as BodyState
+from .landing.mission import at_rest as at_rest
+from .landing.mission import Components as Components
+from .landing.mission import fixed as fixed
+from . import corridor as corridor
+from .landing.mission import FlightLimits as FlightLimits
+from .landing.mission import flight_limits as flight_limits
+from .landing.mission import Ellipsoids as Ellipsoids
+from .landing.mission import ellipsoids as ellipsoids
+from .landing.mission import Weights as Weights
+from .landing.scenario import LandingScenario as LandingScenario
+from .landing import scenarios as scenarios
+from .landing.validation import validate as validate
+from .problem.errors import InvalidScenario as InvalidScenario
+
+# --- a method ---
 from .scp.newton import NewtonSCP as NewtonSCP
+from .scp.ptr import PTR as PTR
 from .scp.nodal_subproblem import NormTrustRegion as NormTrustRegion
 from .scp.nodal_subproblem import ProximalTrustRegion as ProximalTrustRegion
-from .scp.ptr import PTR as PTR
-from .solver.best import best as best
-from .solver.compiled import CompiledSolver as CompiledSolver
-from .solver.load import load as load
-from .solver.scenario import Scenario as Scenario
-from .solver.solution import Solution as Solution
-from .solver.solver import Solver as Solver
+from . import conic as conic
+from .problem.scale import Scale as Scale
+
+# --- solve ---
 from .solver.solver import solve as solve
+from .solver.solver import Solver as Solver
+from .planner.planner import Planner as Planner
+from .solver.scenario import Scenario as Scenario
+
+# --- a solution ---
+from .solver.solution import Solution as Solution
+from .problem.samples import Samples as Samples
+from .problem.samples import FlightSamples as FlightSamples
+from .core.status import Status as Status
+from .core.status import status_names as status_names
 from .verification.certificate import Certificate as Certificate
 from .verification.certificate import certify as certify
+from .solver.best import best as best
+from .backends.serving import Backends as Backends
+from .backends.serving import PerformanceWarning as PerformanceWarning
+from . import plot as plot
+
+# --- compile, store, load ---
+from .aot.aot import CompiledPlanner as CompiledPlanner
+from .solver.compiled import CompiledSolver as CompiledSolver
+from .solver.load import load as load
+from .aot.archive import InvalidExport as InvalidExport
+from .aot.cache_folder import use_cache as use_cache

@@ -14,6 +14,7 @@ from jax.core import Tracer
 
 from jaxscp.aot.pytree_spec import Spec, difference, spec_of
 from jaxscp.backends.xla import options
+from jaxscp.core.arrays import as_floats
 from jaxscp.core.trees import named_leaves
 
 Leaves = Sequence[Any]
@@ -98,6 +99,7 @@ class CompiledPlanner:
             TypeError: if parts, shapes or dtypes are not those that the planner was compiled for; the message names
                 the field. The number of obstacles is free.
         """
+        scenario = jax.tree.map(as_floats, scenario)
         self._check(scenario)
         return self.run(scenario.solver_inputs())
 

@@ -20,9 +20,10 @@ import jax
 import jaxlib
 from jax.experimental import serialize_executable
 
+from jaxscp.aot.notes import without_false_alarms
 from jaxscp.backends import libraries
 
-FORMAT = 12
+FORMAT = 13
 PROGRAMS = ("setup", "solve", "conclude")
 COMPILED = (
     *(library.on_gpu for library in libraries.EVERY if library.on_gpu),
@@ -105,12 +106,13 @@ def start_loading(archive: Archive) -> dict[str, Future[Callable]]:
     device = jax.devices()[0]
 
     def load(name: str) -> Callable:
-        return serialize_executable.deserialize_and_load(
-            archive.executable[name],
-            jax.tree.structure(((0,) * archive.header["arguments"][name], {})),
-            jax.tree.structure([0] * archive.header["results"][name]),
-            execution_devices=[device],
-        )
+        with without_false_alarms():
+            return serialize_executable.deserialize_and_load(
+                archive.executable[name],
+                jax.tree.structure(((0,) * archive.header["arguments"][name], {})),
+                jax.tree.structure([0] * archive.header["results"][name]),
+                execution_devices=[device],
+            )
 
     threads = ThreadPoolExecutor()
     loading = {name: threads.submit(load, name) for name in sorted(PROGRAMS, key=lambda n: n != "solve")}

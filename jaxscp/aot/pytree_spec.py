@@ -5,6 +5,7 @@ its items, an array with its shape and dtype. Classes are named, never stored: `
 """
 
 import dataclasses
+import importlib
 import types
 from collections.abc import Iterable
 from typing import Any
@@ -14,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxscp.core.program import Program, of_this_package
+from jaxscp.core.program import PACKAGE, Program, of_this_package
 from jaxscp.core.status import Status
 
 Spec = Any
@@ -60,6 +61,10 @@ def zeros_of(spec: Spec, classes: Iterable[type]) -> Any:
     known = {f"{cls.__module__}.{cls.__qualname__}": cls for cls in classes}
 
     def build(part):
+        if "program" in part:
+            return MissingProgram(part["program"])
+        if "function" in part:
+            return _function(part["function"])
         if "status" in part:
             return Status.converged
         if "class" in part:
@@ -71,6 +76,30 @@ def zeros_of(spec: Spec, classes: Iterable[type]) -> Any:
         return jnp.asarray(np.zeros(part["shape"], part["dtype"]))
 
     return build(spec)
+
+
+class MissingProgram(Program):
+    """A function of which a file holds the digest alone: equal to the function, but it cannot be called."""
+
+    def __init__(self, digest: str):
+        super().__init__(None, (), (), digest)
+
+    def __call__(self, *arguments: Any) -> jax.Array:
+        """Not possible: raises an error."""
+        raise ValueError(self._MISSING)
+
+    _MISSING = (
+        "the dynamics are a function of yours, which the file of this solver does not hold. To sample the trajectory, "
+        "call trajectory.with_dynamics(problem.dynamics) first."
+    )
+
+
+def _function(name: str) -> Any:
+    """A function of this package, by its name."""
+    module, _, attribute = name.rpartition(".")
+    if module.partition(".")[0] != PACKAGE:
+        raise KeyError(name)
+    return getattr(importlib.import_module(module), attribute)
 
 
 def difference(expected: Spec, found: Spec, name: str = "") -> str | None:

@@ -85,6 +85,21 @@ class Library(NamedTuple):
         found = [level(self.stem, target) for target in self.targets]
         return found[0] if all(found) else None
 
+    def reason(self) -> str:
+        """Why the library does not serve; empty if it does."""
+        if self.available():
+            return ""
+        files = [name for name in LEVELS if _file(self.stem, name).exists()]
+        if not files:
+            return "not compiled: install a C++ compiler, then jaxscp again"
+        handles = [ctypes.CDLL(str(_file(self.stem, name))) for name in files]
+        runnable = [handle for handle in handles if handle.jaxscp_runs_here()]
+        if not runnable:
+            return "compiled for other processors: install jaxscp again on this machine"
+        if all(compiled_from(handle) != digest(self.stem.parent) for handle in runnable):
+            return "older than its sources: install jaxscp again"
+        return "refused by this jaxlib: install jaxscp again"
+
 
 _PACKAGE = Path(__file__).parents[1]
 HEADERS = SHARED

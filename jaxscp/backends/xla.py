@@ -60,3 +60,26 @@ def is_traced(args: Any) -> bool:
     """Whether a call with these arguments is part of another program, or of a transformation."""
     leaves = [jnp.zeros(()), *jax.tree.leaves(args)]  # under ``jit`` even the zero is traced
     return any(isinstance(leaf, Tracer) for leaf in leaves)
+
+
+def any_rank(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function whose own code may broadcast between ranks, where JAX is set to refuse that.
+
+    The setting ``jax_numpy_rank_promotion`` is for the user's functions, which are traced before.
+
+    Example:
+        >>> import jax, jax.numpy as jnp
+        >>> from jaxscp.backends.xla import any_rank
+        >>> with jax.numpy_rank_promotion("raise"):
+        ...     any_rank(lambda: jnp.ones((2, 2)) + jnp.ones(2))().shape
+        (2, 2)
+    """
+
+    @functools.wraps(function)
+    def call(*arguments: Any, **named: Any) -> Any:
+        if jax.config.jax_numpy_rank_promotion == "allow":  # pyright: ignore[reportAttributeAccessIssue]
+            return function(*arguments, **named)
+        with jax.numpy_rank_promotion("allow"):
+            return function(*arguments, **named)
+
+    return call

@@ -6,7 +6,6 @@ codes: 0 the plan converged, 1 it did not, 2 the request was wrong.
 
 import dataclasses
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,139 +15,51 @@ import numpy as np
 import typer
 from rich.console import Console
 
-from jaxscp.aot.cache_folder import use_cache
 from jaxscp.cli.endings import Commands, check_platform, refusals, told_warnings
-from jaxscp.cli.map_options import MapOptions, closed_gap, finite, gap_text, known, one_of
+from jaxscp.cli.info import info, info_text
+from jaxscp.cli.map_options import MapOptions, closed_gap, gap_text
 from jaxscp.cli.options import with_options
 from jaxscp.cli.report import converged, map_facts, print_report, report, timed
-from jaxscp.corridor import (
-    CorridorOptions,
-    CorridorResult,
-    MapReport,
-    PointCloud,
-    box,
-    build_corridor,
-    draw_map,
-)
+from jaxscp.cli.requests import CASES, CLEARANCE, JSON, MODES, RATE, MapRequest, PlanRequest
+from jaxscp.core.version import __version__
+from jaxscp.corridor import CorridorResult, MapReport, PointCloud, box, build_corridor, draw_map
 from jaxscp.landing import scenarios
 from jaxscp.landing.mission import at_rest
 from jaxscp.landing.scenario import LandingScenario
-from jaxscp.landing.validation import InvalidScenario
-from jaxscp.planner.planner import Planner
-from jaxscp.scp.nodal_subproblem import NormTrustRegion, ProximalTrustRegion
-from jaxscp.scp.ptr import PTR
+from jaxscp.problem.errors import InvalidScenario
 from jaxscp.solver.solution import Solution
 
-CASES: dict[str, Callable[[], LandingScenario]] = {
-    "platform": scenarios.platform_to_platform,
-    "ascend": scenarios.ascent_to_platform,
-}
-
-MODES: dict[str, Callable[[int], Planner]] = {
-    # second derivatives, safe between nodes
-    "default": lambda nodes: Planner(nodes=nodes),
-    # Table I of the paper
-    "paper": lambda nodes: Planner(nodes=nodes, method=PTR(NormTrustRegion(10.0), virtual_weight=1000.0)),
-    # a light weight takes long steps, many of them
-    "proximal": lambda nodes: Planner(nodes=nodes, method=PTR(ProximalTrustRegion(0.02), max_iterations=200)),
-}
-
 PICTURED = 0.1  # m, between the points of a cloud in pictures
-CLEARANCE = CorridorOptions().clearance
 
 app = typer.Typer(
     cls=Commands, add_completion=False, no_args_is_help=True, pretty_exceptions_show_locals=False
 )
 
 
+def _version(asked: bool) -> bool:
+    if asked:
+        typer.echo(f"jaxscp {__version__}")
+        raise typer.Exit
+    return asked
+
+
+_VERSION = typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+
+
 @app.callback()
-def jaxscp() -> None:
+def jaxscp(version: Annotated[bool, _VERSION] = False) -> None:
     """Plan six-degree-of-freedom flights by sequential convex programming."""
 
 
-def _writable(path: Path | None) -> Path | None:
-    """Try to write before compiling for minutes; leaves no file behind."""
-    if path is None:
-        return None
-    new = not path.exists()
-    try:
-        path.open("ab").close()
-    except OSError as error:
-        raise typer.BadParameter(f"cannot write {path}: {error.strerror}") from error
-    if new:
-        path.unlink()
-    return path
-
-
-def _cached(folder: Path | None) -> Path | None:
-    if folder is not None:
-        try:
-            use_cache(folder)
-        except OSError as error:
-            raise typer.BadParameter(f"cannot make {folder}: {error.strerror}") from error
-    return folder
-
-
-def _picture(path: Path | None) -> Path | None:
-    if path is not None:
-        from matplotlib.backend_bases import FigureCanvasBase
-
-        kinds = FigureCanvasBase.get_supported_filetypes()
-        if path.suffix.lstrip(".").lower() not in kinds:
-            raise typer.BadParameter(f"{path} is no picture; end its name in .{', .'.join(sorted(kinds))}")
-    return _writable(path)
-
-
-_MODE = typer.Option(callback=known(MODES, "mode"), metavar="NAME", help=one_of(MODES))
-_CLOUD = typer.Option(
-    help="Instead of a case: a map, .pcd .ply .xyz .npy .stl .obj and others.", metavar="FILE"
-)
-_CROP = typer.Option(
-    min=0.0,
-    callback=finite,
-    metavar="LENGTH",
-    help="Points so near to start or goal are their decks, which the vehicle may stand on, m.",
-)
-_CLEARANCE = typer.Option(
-    min=0.0,
-    callback=finite,
-    metavar="LENGTH",
-    help=f"Distance to keep besides the radius, and radius of overlaps, {CLEARANCE:g} by default, m.",
-)
-_SAVE = typer.Option(callback=_writable, help="Write the trajectory (.npz).", metavar="FILE")
-_PLOT = typer.Option(callback=_picture, help="Write a picture (.png, .pdf).", metavar="FILE")
-_CACHE = typer.Option(
-    callback=_cached, help="Store compiled programs here for the next run.", metavar="FOLDER"
-)
-_JSON = typer.Option("--json", help="Print one JSON object instead of tables.")
-_PICTURE = typer.Option(callback=_picture, help="Draw the map from above and from the side.", metavar="FILE")
-
-
-@dataclasses.dataclass
-class PlanRequest(MapOptions):
-    """Arguments and options of ``jaxscp plan``."""
-
-    crop: Annotated[float | None, _CROP] = None
-    clearance: Annotated[float | None, _CLEARANCE] = None
-    case: Annotated[
-        str | None, typer.Argument(callback=known(CASES, "case"), metavar="CASE", help=one_of(CASES))
-    ] = None
-    mode: Annotated[str, _MODE] = "default"
-    nodes: Annotated[int, typer.Option(min=2, help="Nodes N; the flight has N - 1 intervals.")] = 30
-    cloud: Annotated[Path | None, _CLOUD] = None
-    save: Annotated[Path | None, _SAVE] = None
-    plot: Annotated[Path | None, _PLOT] = None
-    cache: Annotated[Path | None, _CACHE] = None
-    as_json: Annotated[bool, _JSON] = False
-
-
-@dataclasses.dataclass(kw_only=True)
-class MapRequest(MapOptions):
-    """Arguments and options of ``jaxscp map``."""
-
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="The map.")]
-    picture: Annotated[Path | None, _PICTURE] = None
-    as_json: Annotated[bool, _JSON] = False
+@app.command(name="info")
+def info_command(as_json: Annotated[bool, JSON] = False) -> None:
+    """Print versions, devices, the compiled libraries that serve, why others do not, and the cache."""
+    check_platform()
+    facts = info()
+    if as_json:
+        typer.echo(json.dumps(facts))
+    else:
+        Console().print(info_text(facts), markup=False, highlight=False, soft_wrap=True)
 
 
 @app.command()
@@ -176,6 +87,7 @@ def plan(request: PlanRequest) -> None:
             "nodes": request.nodes,
             **report(solution, timing),
             **facts,
+            "info": info(),
         }
         typer.echo(json.dumps(facts, allow_nan=False))
     else:
@@ -211,6 +123,8 @@ def map_command(request: MapRequest) -> None:
 def _write_files(request: PlanRequest, scenario: LandingScenario, solution: Solution) -> None:
     if request.save is not None:
         solution.trajectory.save(request.save)
+    if request.csv is not None:
+        solution.trajectory.sample(rate=RATE).to_csv(request.csv)
     if request.plot is not None:
         from jaxscp.plot.page import summary
 
@@ -226,7 +140,7 @@ def _scenario(request: PlanRequest, notes: Console) -> tuple[str, LandingScenari
         given = [f"--{name}" for name in for_maps if getattr(request, name) is not None]
         if given:
             raise typer.BadParameter(f"these options go with --cloud: {', '.join(given)}")
-        return request.case, CASES[request.case](), {}
+        return request.case, request.changed(CASES[request.case]()), {}
     if request.case is not None or request.start is None or request.goal is None:
         raise typer.BadParameter("--cloud needs --start and --goal, and no case")
     points, result = _corridor(request, request.cloud, notes)
@@ -239,7 +153,7 @@ def _scenario(request: PlanRequest, notes: Console) -> tuple[str, LandingScenari
         raise typer.Exit(1)
     pictured = jnp.asarray(points.thinned(PICTURED).points)
     ends = at_rest(request.start), at_rest(request.goal)
-    return request.cloud.name, scenarios.through(result.corridor, *ends, pictured), facts
+    return request.cloud.name, request.changed(scenarios.through(result.corridor, *ends, pictured)), facts
 
 
 def _corridor(request: PlanRequest, file: Path, notes: Console) -> tuple[PointCloud, CorridorResult]:

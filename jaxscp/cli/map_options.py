@@ -49,7 +49,8 @@ def finite(value: Any) -> Any:
     return value
 
 
-def _positive(value: float | None) -> float | None:
+def positive(value: float | None) -> float | None:
+    """Check of an option that takes a positive number."""
     if value is not None and not finite(value) > 0:
         raise typer.BadParameter(f"must be positive, got {value:g}")
     return value
@@ -84,14 +85,14 @@ class MapOptions:
     offset: Annotated[Place | None, _place("Where the local origin lies in the map", _FILE)] = None
     columns: Annotated[tuple[str, str, str] | None, _COLUMNS] = None
     spacing: Annotated[
-        float | None, _length("Distance between samples of a mesh", _FILE, callback=_positive)
+        float | None, _length("Distance between samples of a mesh", _FILE, callback=positive)
     ] = None
     cell: Annotated[
-        float | None, _length("Edge of a cell of an occupancy grid", _FILE, callback=_positive)
+        float | None, _length("Edge of a cell of an occupancy grid", _FILE, callback=positive)
     ] = None
     corner: Annotated[Place | None, _place("Lower corner of an occupancy grid", _FILE)] = None
     height: Annotated[
-        float | None, _length("Height of the rooms of a floor plan", _FILE, callback=_positive)
+        float | None, _length("Height of the rooms of a floor plan", _FILE, callback=positive)
     ] = None
     start: Annotated[Place | None, _place("Where to start", _FLIGHT)] = None
     goal: Annotated[Place | None, _place("Where to land", _FLIGHT)] = None

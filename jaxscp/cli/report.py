@@ -46,6 +46,7 @@ def report(solution: Solution, timing: Timing) -> dict[str, Any]:
     checks = zip(certificate.names, certificate.at_nodes, certificate.between_nodes, strict=True)
     return {
         "status": status_names(solution.status),
+        "cause": solution.cause(),
         "iterations": int(solution.iterations),
         "interior_point_iterations": int(solution.interior_point_iterations),
         "cost": plain(solution.cost),
@@ -121,6 +122,8 @@ def print_report(console: Console, title: str, solution: Solution, timing: Timin
         f"status: {status_names(solution.status)}", style="bold green" if converged(solution) else "bold red"
     )
     show(Status[solution.status])
+    if cause := solution.cause():
+        show(cause)
     show(solution.backends.report())
     show(f"cost {float(solution.cost):.6g}, flight time {float(solution.final_time):.4g} s")
     show("\ncertificate: the controls integrated again from the start, without correction", style="bold")

@@ -33,6 +33,8 @@ class Cone(eqx.Module):
     """Values that it holds at least."""
     inequality: ClassVar[bool] = True
     """Whether it has an interior."""
+    curved: ClassVar[bool] = False
+    """Whether its boundary is curved: values (t, w) as in the second-order cone."""
 
     @abc.abstractmethod
     def condition_rows(self, rows: int) -> int:
@@ -214,6 +216,7 @@ class SecondOrder(SymmetricCone):
     """The values (t, v) obey |v| <= t."""
 
     least_rows: ClassVar[int] = 2
+    curved: ClassVar[bool] = True
 
     def condition_rows(self, rows: int) -> int:
         """All rows."""

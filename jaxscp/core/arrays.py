@@ -36,6 +36,52 @@ def floats(value: Any) -> jax.Array:
     return jnp.asarray(namespace(value).asarray(value, float))
 
 
+def as_floats(value: Any) -> Any:
+    """Plain numbers, NumPy arrays and lists as an array of floats; arrays of JAX, None and others stay as they are.
+
+    Example:
+        >>> import numpy as np
+        >>> from jaxscp.core.arrays import as_floats
+        >>> as_floats(np.float64(2.0)).shape, as_floats([1, 2]).tolist(), as_floats(None)
+        ((), [1.0, 2.0], None)
+    """
+    plain = isinstance(value, (int, float, np.number, np.ndarray, list, tuple)) and not isinstance(
+        value, bool
+    )
+    return floats(value) if plain else value
+
+
+UNIT = 1e-12  # difference of a squared length from one below which a vector counts as a unit vector
+
+
+def unit_lengths(vectors: Any) -> Any:
+    """Numbers to divide vectors by, so that they have unit length: one for unit vectors and for zero.
+
+    A vector of unit length to rounding keeps its bits, so that scaling twice is scaling once. Scaling still has its
+    derivative there: a change along a direction is no change of the direction.
+
+    Args:
+        vectors: (..., components) arrays, traced or not.
+
+    Returns:
+        (...) lengths.
+
+    Example:
+        >>> import numpy as np
+        >>> from jaxscp.core.arrays import unit_lengths
+        >>> unit_lengths(np.array([[3.0, 4.0], [0.0, 1.0], [0.0, 0.0]])).tolist()
+        [5.0, 1.0, 1.0]
+    """
+    xp = namespace(vectors)
+    vectors = xp.asarray(vectors)
+    squares = xp.sum(vectors * vectors, axis=-1)
+    lengths = xp.sqrt(xp.where(squares > 0, squares, 1.0))
+    change = (
+        lengths - jax.lax.stop_gradient(lengths) if xp is jnp else 0.0
+    )  # zero, with the derivative of scaling
+    return xp.where(xp.abs(squares - 1.0) <= UNIT, 1.0 + change, lengths)
+
+
 def components(vector: jax.Array, chosen: Sequence[int] | None) -> jax.Array:
     """Chosen components of a vector, or all (None), by slices: compiled backends take no array of indices.
 

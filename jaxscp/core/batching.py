@@ -110,7 +110,8 @@ def in_chunks(act: Callable[[Any], State], fixed: Any, elsewhere: Chunks = CHUNK
 
     @one.def_vmap
     def _(size, batched, arrays):
-        first = jax.tree.map(lambda v, b: v[0] if b else v, arrays, batched[0])
+        shape_of = lambda v, b: jax.ShapeDtypeStruct(v.shape[1:] if b else v.shape, v.dtype)  # noqa: E731
+        first = jax.tree.map(shape_of, arrays, batched[0])
         blank = jax.tree.map(lambda v: jnp.zeros(v.shape, v.dtype), jax.eval_shape(on_arrays, first))
         axes = jax.tree.map(lambda b: 0 if b else None, batched[0])
         chunked = lambda arrays: where_needed(  # noqa: E731
@@ -155,6 +156,10 @@ def _batch_loop(loop_of: _BatchLoop, shared):
     def _(batches, batched, arrays, states):
         merge = lambda v: v.reshape(batches * v.shape[1], *v.shape[2:])  # noqa: E731
         split = lambda v: v.reshape(batches, size, *v.shape[1:])  # noqa: E731
+        if batches * size == 0:
+            return _all_batched(
+                jax.tree.map(lambda v, b: v if b else _repeat(v, batches), states, batched[1])
+            )
 
         def merged(v, outer, inner):
             if not outer:
@@ -185,6 +190,8 @@ def _all_batched(end):
 def _in_rounds(loop_of: _BatchLoop, shared, arrays, states):
     """Step the unfinished elements, chunk by chunk, until there are none."""
     size, unfinished = loop_of.size, loop_of.unfinished
+    if size == 0:
+        return states
     chunk, *few = (min(size, count) for count in CHUNK.get(jax.default_backend(), loop_of.elsewhere))
     small = few[0] if few else chunk
     axes = jax.tree.map(lambda k: 0 if k else None, shared)

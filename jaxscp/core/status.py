@@ -4,6 +4,7 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool
 
@@ -43,8 +44,9 @@ class Status(eqx.Enumeration):
         "limit on a control or on time, or a negative weight."
     )
     insufficient_progress = (
-        "The steps became too small before the tolerances were met. The problem may be nearly "
-        "infeasible or badly scaled."
+        "The steps became too small before the tolerances were met, or a convex subproblem could not be solved to its "
+        "accuracy. Likely causes: constraints leave no room, as where start or goal lies on a face of the corridor "
+        "that the landing cone meets; or the problem is badly scaled."
     )
     numerical_error = (
         "A number that is not finite arose inside the solver. Check scales: SI units, and masses and times near "
@@ -91,6 +93,40 @@ def status_names(status: StatusCode):
     member_of = [number(status) == number(getattr(Status, name)) for name in _NAMES]
     names = np.select(member_of, _NAMES, default="unknown")
     return str(names) if names.ndim == 0 else names
+
+
+def status_codes(names: Any) -> StatusCode:
+    """The status of a name, or the statuses of an array of names: inverts ``status_names``.
+
+    Raises:
+        KeyError: for an unknown name.
+    """
+    names = np.asarray(names)
+    codes = {name: np.asarray(jax.tree.leaves(getattr(Status, name))[0]) for name in _NAMES}
+    unknown = sorted(set(names.ravel().tolist()) - set(codes))
+    if unknown:
+        raise KeyError(f"{unknown[0]!r} is no status")
+    found = np.array([codes[name] for name in names.ravel().tolist()], codes["converged"].dtype)
+    return jax.tree.unflatten(jax.tree.structure(Status.converged), [jnp.asarray(found.reshape(names.shape))])
+
+
+def after_failed_subproblem(status: StatusCode) -> StatusCode:
+    """Status of a loop that ends because it cannot use the answer of a subproblem.
+
+    The iteration limit of the subproblem's solver is not the loop's: more iterations of the loop would not help.
+
+    Args:
+        status: of the subproblem.
+
+    Example:
+        >>> from jaxscp.core.status import Status, after_failed_subproblem, status_names
+        >>> status_names(after_failed_subproblem(Status.iteration_limit))
+        'insufficient_progress'
+        >>> status_names(after_failed_subproblem(Status.infeasible))
+        'infeasible'
+    """
+    found = Status.where(status == Status.iteration_limit, Status.insufficient_progress, status)
+    return Status.where(usable(status), Status.numerical_error, found)  # solved, but not to a finite point
 
 
 def usable(status: StatusCode) -> Bool[Array, "*batch"]:

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
+from jaxscp.core.arrays import unit_lengths
 from jaxscp.corridor.extent import corners, main_box
 from jaxscp.corridor.polytope import Polytope
 
@@ -111,11 +112,13 @@ class PointCloud(eqx.Module):
         return PointCloud(0.5 * (lower + upper), self.spread + spread, self.dropped, self.provenance)
 
     def inside(self, region: Polytope, margin: float = 0.0) -> Bool[np.ndarray, "points"]:
-        """Which points lie in a polytope grown by a margin in metres."""
+        """Which points lie in a polytope grown by a margin in metres; normals may have any length."""
         left = np.arange(self.count)
-        for normal, offset in zip(np.asarray(region.normals), np.asarray(region.offsets), strict=True):
+        normals = np.asarray(region.normals)
+        limits = np.asarray(region.offsets) + margin * unit_lengths(normals)
+        for normal, limit in zip(normals, limits, strict=True):
             # Most points fall to the first faces, which keeps millions of them within memory.
-            left = left[self.points[left] @ normal <= offset + margin]
+            left = left[self.points[left] @ normal <= limit]
         inside = np.zeros(self.count, bool)
         inside[left] = True
         return inside

@@ -10,6 +10,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxscp.core.arrays import unit_lengths
 from jaxscp.corridor.clouds import PointCloud
 from jaxscp.corridor.limits import Limits, Point
 from jaxscp.corridor.polytope import Polytope
@@ -130,7 +131,8 @@ def holds(region: Polytope, point: Point) -> bool:
         >>> holds(box([0, 0, 0], [1, 1, 1]), np.array([0.5, 0.5, 1.0]))
         True
     """
-    return bool(np.all(np.asarray(region.normals) @ point <= np.asarray(region.offsets) + _LEVEL))
+    normals = np.asarray(region.normals)
+    return bool(np.all(normals @ point <= np.asarray(region.offsets) + _LEVEL * unit_lengths(normals)))
 
 
 def _deck(cloud: PointCloud, own: Bool[np.ndarray, "points"], end: Point, radius: float) -> Deck | None:

@@ -249,7 +249,8 @@ def _place_findings(facts: MapReport, flight: Flight, of_file: bool) -> Iterator
         return
     if (
         of_file
-        and np.any(np.all(sides[:, :, :2] > _OUTSIDE, axis=1))
+        # A flight beside the map by more than its radius meets no wall of it; a wrong frame looks like that.
+        and np.any(np.all(sides[:, :, :2] > min(_OUTSIDE, flight.radius), axis=1))
         and (flight.lower is None or flight.upper is None)
     ):
         yield (

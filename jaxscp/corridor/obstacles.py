@@ -31,7 +31,7 @@ def inside_corridor(corridor: Corridor, cloud: PointCloud, margin: float = 0.0) 
     """Which points of a cloud lie in a polytope of a corridor, each grown by a margin.
 
     Args:
-        corridor: polytopes for the vehicle's centre; their normals have unit length.
+        corridor: polytopes for the vehicle's centre.
         cloud: obstacles.
         margin: distance that every face is moved outwards, metres. All points nearer than that to a polytope are found,
             and a few more at its corners.

@@ -10,15 +10,12 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from jaxscp.core.arrays import namespace
+from jaxscp.core.arrays import namespace, unit_lengths
 from jaxscp.core.types import Normals, Offsets, Vector3
 from jaxscp.corridor.overlaps import deepest_ball
 from jaxscp.corridor.polytope import Polytope as Polytope
 from jaxscp.corridor.polytope import box as box
 from jaxscp.corridor.polytope import intersect
-
-_UNIT = 1e-12
-"""Difference of a squared length from one below which a normal has unit length."""
 
 
 class Corridor(eqx.Module):
@@ -51,7 +48,8 @@ class Corridor(eqx.Module):
 
     def clearance(self, point: Vector3) -> Float[Array, "polytopes"]:
         """Distance in metres from a point to the nearest face of each polytope; negative outside it."""
-        return jnp.min(self.offsets - self.normals @ point, axis=-1)
+        distances = (self.offsets - self.normals @ point) / jnp.asarray(unit_lengths(self.normals))
+        return jnp.min(distances, axis=-1)
 
     def distinct(self) -> list[Polytope]:
         """The polytopes, each once and in flight order: padding repeats the last one. Outside of ``jit`` only.
@@ -78,7 +76,7 @@ class Corridor(eqx.Module):
             >>> scaled.with_unit_normals().offsets.round(9).tolist()
             [[4.0, 2.0, 3.0, -0.0, -0.0, -0.0]]
         """
-        normals, offsets = _unit_rows(self.normals, self.offsets)
+        normals, offsets = unit_rows(self.normals, self.offsets)
         return Corridor(jnp.asarray(normals), jnp.asarray(offsets), self.joints)
 
 
@@ -116,7 +114,7 @@ def connect(
     padded = list(zip(polytopes, pads, strict=True))
     normals = xp.stack([xp.pad(p.normals, ((0, n), (0, 0))) for p, n in padded])
     offsets = xp.stack([xp.pad(p.offsets, (0, n), constant_values=1.0) for p, n in padded])
-    normals, offsets = _unit_rows(normals, offsets)
+    normals, offsets = unit_rows(normals, offsets)
     if margin:
         offsets = xp.where(xp.any(normals != 0, axis=-1), offsets - margin, offsets)
     if joints is None:
@@ -131,12 +129,19 @@ def connect(
     return Corridor(jnp.asarray(normals), jnp.asarray(offsets), jnp.asarray(centres))
 
 
-def _unit_rows(normals: Any, offsets: Any) -> tuple[Any, Any]:
-    """Rows divided by the length of their normals, where that is neither zero nor one."""
-    xp = namespace(normals, offsets)
-    squares = xp.sum(normals * normals, axis=-1)
-    off = (squares > 0) & (xp.abs(squares - 1.0) > _UNIT)
-    lengths = xp.sqrt(xp.where(off, squares, 1.0))
+def unit_rows(normals: Any, offsets: Any) -> tuple[Any, Any]:
+    """Rows divided by the length of their normals, where that is neither zero nor one; NumPy's arrays if known.
+
+    Args:
+        normals: (..., faces, 3).
+        offsets: (..., faces), m times the length of the normal.
+
+    Example:
+        >>> [rows.tolist() for rows in unit_rows(np.array([[0.0, 0.0, 2.0]]), np.array([3.0]))]
+        [[[0.0, 0.0, 1.0]], [1.5]]
+    """
+    xp, lengths = namespace(normals, offsets), unit_lengths(normals)
+    normals, offsets = xp.asarray(normals), xp.asarray(offsets)
     return normals / lengths[..., None], offsets / lengths
 
 

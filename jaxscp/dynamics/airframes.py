@@ -6,7 +6,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxscp.core.arrays import floats, namespace
+from jaxscp.core.arrays import as_floats, floats, namespace
 from jaxscp.core.types import Scalar
 from jaxscp.dynamics.rigid_body import RigidBody
 
@@ -17,11 +17,11 @@ class Airframe(eqx.Module):
     """A rigid body, its rotors' limits and its size."""
 
     body: RigidBody
-    thrust_min: Float[Array, "rotors"]
+    thrust_min: Float[Array, "rotors"] = eqx.field(converter=as_floats)
     """Least thrust of each rotor in N."""
-    thrust_max: Float[Array, "rotors"]
+    thrust_max: Float[Array, "rotors"] = eqx.field(converter=as_floats)
     """Greatest thrust of each rotor in N."""
-    radius: Scalar
+    radius: Scalar = eqx.field(converter=as_floats)
     """Half the motor-to-motor diagonal in m: the least safety margin."""
 
 

@@ -8,7 +8,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxscp.core.types import Scalar
-from jaxscp.dynamics.base import Dynamics
+from jaxscp.dynamics.base import Dynamics, FunctionDynamics
+from jaxscp.dynamics.double_integrator import DoubleIntegrator
+from jaxscp.dynamics.rigid_body import RigidBody
 
 
 def with_static(dynamics: Dynamics, count: int = 1) -> Dynamics:
@@ -86,3 +88,13 @@ class _WithIntegral(_Augmented):
         inner = state[:-1]
         grows = self.integrand(inner, control, time, self.parameters)
         return jnp.append(self.inner(inner, control, time), grows)
+
+
+DYNAMICS = FunctionDynamics, DoubleIntegrator, RigidBody, _WithStatic, _WithIntegral
+"""All dynamics of this package: files name their classes."""
+
+
+def can_be_stored(dynamics: Dynamics | None) -> bool:
+    """Whether a file can hold the dynamics: their class is this package's, and they have no function."""
+    inner = dynamics.inner if isinstance(dynamics, _WithStatic) else dynamics
+    return inner is None or isinstance(inner, DoubleIntegrator | RigidBody)

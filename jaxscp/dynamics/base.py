@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxscp.core.types import Scalar
@@ -25,6 +26,21 @@ class Dynamics(eqx.Module):
     def control_size(self) -> int:
         """Number of controls."""
 
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of the states in tables, with units."""
+        return tuple(f"x{i}" for i in range(self.state_size))
+
+    @property
+    def control_names(self) -> tuple[str, ...]:
+        """Names of the controls in tables, with units."""
+        return tuple(f"u{i}" for i in range(self.control_size))
+
+    @property
+    def rate_names(self) -> tuple[str, ...]:
+        """Names of the states' derivatives in tables; a derivative without one is left out."""
+        return tuple(f"d{name}/dt" for name in self.state_names)
+
     @abc.abstractmethod
     def __call__(
         self, state: Float[Array, "states"], control: Float[Array, "controls"], time: Scalar | float
@@ -33,7 +49,10 @@ class Dynamics(eqx.Module):
 
     @staticmethod
     def of(
-        function: Callable[..., Any], states: int, controls: int, parameters: Any = ()
+        function: Callable[..., Any],
+        states: int | np.integer,
+        controls: int | np.integer,
+        parameters: Any = (),
     ) -> FunctionDynamics:
         """Dynamics from a plain function.
 
@@ -51,7 +70,9 @@ class Dynamics(eqx.Module):
             >>> falling(jnp.array([0.0, 3.0]), jnp.array([9.81]), 0.0).tolist()
             [3.0, 0.0]
         """
-        return FunctionDynamics(function, states, controls, parameters)
+        # NumPy's whole numbers are arrays to Equinox, which warns of arrays in static fields.
+        plain = lambda size: int(size) if isinstance(size, np.integer) else size  # noqa: E731
+        return FunctionDynamics(function, plain(states), plain(controls), parameters)
 
 
 class FunctionDynamics(Dynamics):

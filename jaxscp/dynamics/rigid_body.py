@@ -1,8 +1,10 @@
 """A rigid body under rotor thrusts."""
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxscp.core.arrays import as_floats
 from jaxscp.core.types import Scalar, Vector3
 from jaxscp.dynamics import rotations
 from jaxscp.dynamics.base import Dynamics
@@ -24,15 +26,15 @@ class RigidBody(Dynamics):
         True
     """
 
-    mass: Scalar
+    mass: Scalar = eqx.field(converter=as_floats)
     """kg"""
-    inertia: Float[Array, "3 3"]
+    inertia: Float[Array, "3 3"] = eqx.field(converter=as_floats)
     """kg m^2, about the centre of mass in body axes."""
-    thrust_map: Float[Array, "3 rotors"]
+    thrust_map: Float[Array, "3 rotors"] = eqx.field(converter=as_floats)
     """M_T: force in body axes of one newton of each rotor's thrust."""
-    torque_map: Float[Array, "3 rotors"]
+    torque_map: Float[Array, "3 rotors"] = eqx.field(converter=as_floats)
     """M_sigma: torque in body axes of one newton of each rotor's thrust, in metres."""
-    gravity: Vector3
+    gravity: Vector3 = eqx.field(converter=as_floats)
     """m/s^2 in world axes, usually (0, 0, -9.81)."""
 
     @property
@@ -44,6 +46,25 @@ class RigidBody(Dynamics):
     def control_size(self) -> int:
         """Number of rotors."""
         return self.thrust_map.shape[-1]
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Position, velocity, attitude, body rate."""
+        position = tuple(f"{axis} [m]" for axis in "xyz")
+        velocity = tuple(f"v{axis} [m/s]" for axis in "xyz")
+        attitude = tuple(f"q{part}" for part in "wxyz")
+        return (*position, *velocity, *attitude, *(f"w{axis} [rad/s]" for axis in "xyz"))
+
+    @property
+    def control_names(self) -> tuple[str, ...]:
+        """Thrusts."""
+        return tuple(f"thrust {rotor + 1} [N]" for rotor in range(self.control_size))
+
+    @property
+    def rate_names(self) -> tuple[str, ...]:
+        """Accelerations alone: the other derivatives follow from the state."""
+        acceleration = tuple(f"a{axis} [m/s^2]" for axis in "xyz")
+        return (*[""] * 3, *acceleration, *[""] * 4, *(f"dw{axis}/dt [rad/s^2]" for axis in "xyz"))
 
     def __call__(
         self, state: Float[Array, "states"], control: Float[Array, "controls"], time: Scalar | float = 0.0

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from jaxscp.core.types import Points, Vector3
+from jaxscp.core.types import Flag, Points, Vector3
 from jaxscp.corridor.polytopes import Corridor
 
 LANDING = 5  # intervals, the last ones, that lie in the landing cone
@@ -27,6 +27,25 @@ def allocate(corridor: Corridor, start: Vector3, goal: Vector3, nodes: int) -> I
     ends = least + jnp.round(spare * fraction).astype(int)
     ends = jnp.maximum(jnp.minimum(ends, nodes - 1 - IN_LAST - least[::-1] + 1), least)
     return jnp.searchsorted(ends, jnp.arange(nodes - 1), side="right", method="compare_all").astype(int)
+
+
+def fits(allocation: Int[Array, "intervals"], fresh: Int[Array, "intervals"]) -> Flag:
+    """Whether an allocation of another corridor may serve again, in place of a fresh one.
+
+    It does if it takes the polytopes in order, from the first to the last. Each must have half of the fresh one's
+    intervals at least. Else the corridor is another one.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from jaxscp.landing.allocation import fits
+        >>> two, three = jnp.array([0, 0, 1, 1, 1]), jnp.array([0, 1, 1, 2, 2])
+        >>> bool(fits(two, jnp.array([0, 1, 1, 1, 1]))), bool(fits(two, three)), bool(fits(three, two))
+        (True, False, False)
+    """
+    steps = jnp.diff(allocation)
+    in_order = (allocation[0] == 0) & (allocation[-1] == fresh[-1]) & jnp.all((steps == 0) | (steps == 1))
+    number = lambda of: jnp.sum(of[:, None] == fresh[None], axis=0)  # noqa: E731
+    return in_order & jnp.all(2 * number(allocation) >= number(fresh))
 
 
 def route_positions(

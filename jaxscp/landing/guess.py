@@ -59,6 +59,7 @@ def initial_guess(scenario: Mission, allocation: Int[Array, "intervals"]) -> Gue
     Returns:
         States, controls and dilation at the nodes; positions are along the route itself if the program fails.
     """
+    scenario = scenario.with_unit_directions()
     duration = guess_time(scenario, allocation)
     scenario = eqx.tree_at(lambda s: s.goal, scenario, scenario.goal_at(duration))
     units = Units.of(scenario, allocation, duration)

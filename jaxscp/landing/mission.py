@@ -5,27 +5,29 @@ work.
 """
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxscp.core.arrays import floats, namespace
+from jaxscp.core.arrays import as_floats, floats, namespace, unit_lengths
 from jaxscp.core.types import Points, Quaternion, Scalar, Vector3
-from jaxscp.corridor.polytopes import Corridor
+from jaxscp.corridor.polytopes import Corridor, unit_rows
 from jaxscp.dynamics import rotations
 from jaxscp.dynamics.airframes import Airframe
+from jaxscp.dynamics.rigid_body import RigidBody
 
 
 class BodyState(eqx.Module):
     """Position, velocity, attitude and body rate of a vehicle."""
 
-    position: Vector3
+    position: Vector3 = eqx.field(converter=as_floats)
     """m, world."""
-    velocity: Vector3
+    velocity: Vector3 = eqx.field(converter=as_floats)
     """m/s, world."""
-    attitude: Quaternion
-    """(w, x, y, z), body to world, unit norm."""
-    body_rate: Vector3
+    attitude: Quaternion = eqx.field(converter=as_floats)
+    """(w, x, y, z), body to world; scaled to unit norm where a problem is made of it."""
+    body_rate: Vector3 = eqx.field(converter=as_floats)
     """rad/s, body."""
 
     def vector(self) -> Float[Array, "13"]:
@@ -48,11 +50,11 @@ def at_rest(position, yaw: Scalar | float = 0.0) -> BodyState:
 class Components(eqx.Module):
     """Which components of a ``BodyState`` are fixed: one where fixed, zero where free; (3,) each."""
 
-    position: Vector3
-    velocity: Vector3
-    attitude: Vector3
+    position: Vector3 = eqx.field(converter=as_floats)
+    velocity: Vector3 = eqx.field(converter=as_floats)
+    attitude: Vector3 = eqx.field(converter=as_floats)
     """By the three components of the rotation from the state asked for, in its own axes: roll, pitch, yaw."""
-    body_rate: Vector3
+    body_rate: Vector3 = eqx.field(converter=as_floats)
 
     def vector(self) -> Float[Array, "12"]:
         """The 12 components in order."""
@@ -76,8 +78,8 @@ def fixed(*, position=1.0, velocity=1.0, attitude=1.0, body_rate=1.0) -> Compone
 class Weights(eqx.Module):
     """Weights of the cost: control effort w_u and flight time w_t (equation 8, Table I)."""
 
-    control: Scalar
-    time: Scalar
+    control: Scalar = eqx.field(converter=as_floats)
+    time: Scalar = eqx.field(converter=as_floats)
 
 
 class FlightLimits(eqx.Module):
@@ -89,14 +91,18 @@ class FlightLimits(eqx.Module):
         True
     """
 
-    speed: Scalar | None = None
+    speed: Scalar | None = eqx.field(default=None, converter=as_floats)
     """m/s"""
-    tilt: Scalar | None = None
+    tilt: Scalar | None = eqx.field(default=None, converter=as_floats)
     """rad, between the body's z axis and the vertical; below pi."""
-    body_rate: Scalar | None = None
+    body_rate: Scalar | None = eqx.field(default=None, converter=as_floats)
     """rad/s, norm of the body rate."""
-    thrust_rate: Scalar | None = None
+    thrust_rate: Scalar | None = eqx.field(default=None, converter=as_floats)
     """N/s, of every rotor."""
+
+
+def _limits(given: FlightLimits | None) -> FlightLimits:
+    return FlightLimits() if given is None else given
 
 
 def flight_limits(*, speed=None, tilt=None, body_rate=None, thrust_rate=None) -> FlightLimits:
@@ -108,9 +114,9 @@ def flight_limits(*, speed=None, tilt=None, body_rate=None, thrust_rate=None) ->
 class Ellipsoids(eqx.Module):
     """Ellipsoids {p : |shape (p - centre)| <= 1}."""
 
-    centres: Float[Array, "count 3"]
+    centres: Float[Array, "count 3"] = eqx.field(converter=as_floats)
     """m"""
-    shapes: Float[Array, "count 3 3"]
+    shapes: Float[Array, "count 3 3"] = eqx.field(converter=as_floats)
     """1/m; rows are the axes, each divided by its semi-axis."""
 
 
@@ -121,6 +127,9 @@ def ellipsoids(centres, semi_axes) -> Ellipsoids:
         centres: (count, 3) in m.
         semi_axes: (count, 3) or, for balls, (count,) or one number; in m.
 
+    Returns:
+        The ellipsoids; without centres none, which is no zone and no gate.
+
     Example:
         >>> import jaxscp
         >>> jaxscp.ellipsoids([[0.0, 0.0, 1.0]], 0.5).shapes[0].diagonal().tolist()
@@ -129,12 +138,18 @@ def ellipsoids(centres, semi_axes) -> Ellipsoids:
     xp = namespace(centres, semi_axes)
     centres = xp.atleast_2d(xp.asarray(centres, float))
     semi_axes = xp.asarray(semi_axes, float)
+    if centres.size == 0:  # no ellipsoid: a list without entries has no shape of its own
+        centres, semi_axes = centres.reshape(0, 3), xp.ones((0, 3))
     if semi_axes.ndim < 2:
         semi_axes = xp.broadcast_to(semi_axes, centres.shape[:1])[:, None]
     semi_axes = xp.broadcast_to(semi_axes, centres.shape)
     with np.errstate(divide="ignore"):  # ``validate`` names the wrong field
         shapes = np.eye(3) / semi_axes[:, None, :]
     return Ellipsoids(jnp.asarray(centres), jnp.asarray(shapes))
+
+
+PARTS = Airframe, RigidBody, BodyState, Components, Corridor, Ellipsoids, FlightLimits, Weights
+"""Classes of a mission's fields: files name them."""
 
 
 class Mission(eqx.Module):
@@ -146,26 +161,50 @@ class Mission(eqx.Module):
     """On the deck. For a moving deck: its position at time zero, and the velocity relative to the deck.
     The landing cone stands on the goal's own x-y plane, so that a tilted goal is a tilted deck."""
     corridor: Corridor
-    cone_angle: Scalar
+    cone_angle: Scalar = eqx.field(converter=as_floats)
     """gamma_c in radians: angle of the landing cone's side above the deck; pi/4 in the paper."""
     weights: Weights
-    dilation_min: Scalar
+    dilation_min: Scalar = eqx.field(converter=as_floats)
     """Least dt/dtau in s: bounds the flight time and every part of the mesh."""
-    dilation_max: Scalar
+    dilation_max: Scalar = eqx.field(converter=as_floats)
     """Greatest dt/dtau in s."""
-    obstacles: Points | None = None
+    obstacles: Points | None = eqx.field(default=None, converter=as_floats)
     """Point cloud in m that the corridor avoids, for pictures and checks; the solver does not use it."""
-    limits: FlightLimits = FlightLimits()
+    limits: FlightLimits = eqx.field(default=FlightLimits(), converter=_limits)
+    """None: no limits."""
     keep_out: Ellipsoids | None = None
     """Zones to stay out of."""
     gates: Ellipsoids | None = None
     """Zones to pass through, in this order, each at a time of the planner's choice: way-points and gates."""
-    deck_velocity: Vector3 | None = None
+    deck_velocity: Vector3 | None = eqx.field(default=None, converter=as_floats)
     """m/s, world; None for a deck at rest."""
     start_fixed: Components | None = None
     """None: all."""
     goal_fixed: Components | None = None
     """None: all."""
+
+    def with_unit_directions(self) -> "Mission":
+        """The same mission with unit normals of the corridor and unit quaternions of both ends.
+
+        Offsets and violations are then metres, and the certificate starts from an attitude. Constructors cannot do
+        this: a study replaces arrays inside a scenario. Therefore every function that reads directions calls this
+        first. Unit vectors keep their bits.
+
+        Example:
+            >>> import equinox as eqx, jax.numpy as jnp, jaxscp
+            >>> scenario = jaxscp.scenarios.platform_to_platform()
+            >>> long = eqx.tree_at(lambda s: s.start.attitude, scenario, jnp.array([1.0009, 0.0, 0.0, 0.0]))
+            >>> long.with_unit_directions().start.attitude.tolist()
+            [1.0, 0.0, 0.0, 0.0]
+        """
+        rows = unit_rows(self.corridor.normals, self.corridor.offsets)
+        attitudes = [end.attitude / unit_lengths(end.attitude) for end in (self.start, self.goal)]
+        found = jnp if isinstance(self.corridor.normals, jax.Array) else np  # validation is of NumPy's arrays
+        return eqx.tree_at(
+            lambda s: (s.corridor.normals, s.corridor.offsets, s.start.attitude, s.goal.attitude),
+            self,
+            [found.asarray(v) for v in (*rows, *attitudes)],
+        )
 
     def goal_at(self, time: Scalar) -> BodyState:
         """The goal in the world at a time in s."""

@@ -149,7 +149,7 @@ def landing_problem(
         allocation: polytope of every interval, see ``allocate``; node k has the polytope of interval k.
         form: statement of the problem. By default the final attitude is fixed by the three components of its error.
     """
-    nodes = allocation.shape[0] + 1
+    nodes, mission = allocation.shape[0] + 1, mission.with_unit_directions()
     return OptimalControlProblem(
         dynamics=mission.airframe.body,
         cost=Cost(effort, flight_time, mission.weights),
@@ -262,7 +262,7 @@ def _flight_limits(s: Mission, nodes: int):
 
 def _zones(s: Mission, allocation: Int[Array, "intervals"]):
     nodes = allocation.shape[0] + 1
-    if s.keep_out is not None:
+    if s.keep_out is not None and s.keep_out.centres.shape[0]:
         zones = repeat_over_nodes(Zones(s.keep_out.centres, s.keep_out.shapes), nodes)
         everywhere = jnp.ones(nodes, bool)
         keep_out = _per_node("keep-out", outside_zones, NonNegative(), zones, everywhere)

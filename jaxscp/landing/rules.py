@@ -7,9 +7,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxscp.landing.hover import can_hover
 from jaxscp.landing.mission import Mission
 
 CLEARANCE = 1e-6  # m by which start and goal may miss their polytope, for rounding
+PADDED = 1.0  # offset of a row that only pads: 0 . p <= 1
 UNIT_NORM = 1e-3  # by which a quaternion's norm may differ from one
 
 
@@ -24,12 +26,36 @@ class Rule(NamedTuple):
 
 def rules(s: Mission, xp):
     """Every requirement on values; ``xp`` is numpy or jax.numpy."""
+    yield from _direction_rules(s, xp)
+    s = s.with_unit_directions()  # depths and clearances below are metres
     yield from _vehicle_rules(s, xp)
     yield from _limit_rules(s, xp)
     yield from _corridor_rules(s, xp)
     yield from _flight_limit_rules(s, xp)
     yield from _zone_rules(s, xp)
     yield from _component_rules(s, xp)
+
+
+def _direction_rules(s: Mission, xp):
+    """Directions of any length are scaled. A length of zero, or a quaternion far from unit norm, is a mistake."""
+    for name in ("start", "goal"):
+        norm = xp.sqrt(xp.sum(getattr(s, name).attitude ** 2))
+        yield Rule(
+            xp.abs(norm - 1.0) <= UNIT_NORM,
+            f"{name}.attitude: quaternion (w, x, y, z) has norm {norm}, not 1. Normalise it; is w first?",
+        )
+    # Squares, as in the scaling: a normal whose square is zero has no direction.
+    lost = (xp.sum(s.corridor.normals**2, axis=-1) == 0.0) & (s.corridor.offsets != PADDED)
+    where = (
+        f" face {np.argwhere(lost)[0][1]} of polytope {np.argwhere(lost)[0][0]}"
+        if xp is np and lost.any()
+        else ""
+    )
+    yield Rule(
+        ~xp.any(lost),
+        f"corridor.normals:{where} has a normal of length zero, and an offset that is not 1: its direction is lost. "
+        "Only rows 0 . p <= 1 pad a polytope.",
+    )
 
 
 def _vehicle_rules(s: Mission, xp):
@@ -45,19 +71,29 @@ def _vehicle_rules(s: Mission, xp):
     yield Rule(
         excess <= 0.0, f"airframe.thrust_min: exceeds airframe.thrust_max by {excess} N for some rotor."
     )
-    # Necessary, and for upright rotors sufficient: the greatest thrust along the body's z axis carries the weight.
+    down = body.gravity[2] <= 0.0
+    yield Rule(
+        down, f"airframe.body.gravity: gravity must point along -z, as z points up; got {body.gravity} m/s^2."
+    )
+    # Necessary: the greatest thrust along the body's z axis carries the weight.
     along = body.thrust_map[2]
     greatest = xp.sum(xp.maximum(along * frame.thrust_min, along * frame.thrust_max))
     least = xp.sum(xp.minimum(along * frame.thrust_min, along * frame.thrust_max))
     weight = -body.mass * body.gravity[2]
+    enough, little = (greatest >= weight) | ~down, (least <= weight) | ~down
     yield Rule(
-        greatest >= weight,
+        enough,
         f"airframe: the rotors cannot carry the weight (greatest thrust {greatest} N, weight {weight} N): check "
         "airframe.body.mass in kg and airframe.thrust_max in N a rotor; hover is impossible.",
     )
     yield Rule(
-        least <= weight,
+        little,
         f"airframe.thrust_min: even the least thrust {least} N exceeds the weight {weight} N; hover is impossible.",
+    )
+    yield Rule(
+        can_hover(frame, xp) | ~(down & enough & little) | (excess > 0.0),
+        f"airframe: no thrusts between airframe.thrust_min and airframe.thrust_max carry the weight {weight} N without "
+        "torque; hover is impossible. Does a rotor give no thrust, or has airframe.body.torque_map a wrong sign?",
     )
 
 
@@ -74,12 +110,6 @@ def _limit_rules(s: Mission, xp):
         (s.weights.control >= 0) & (s.weights.time >= 0) & (s.weights.control + s.weights.time > 0),
         "weights: control and time must not be negative, and one must be positive.",
     )
-    for name in ("start", "goal"):
-        norm = xp.sqrt(xp.sum(getattr(s, name).attitude ** 2))
-        yield Rule(
-            xp.abs(norm - 1.0) <= UNIT_NORM,
-            f"{name}.attitude: quaternion (w, x, y, z) has norm {norm}, not 1. Normalise it; is w first?",
-        )
 
 
 def _corridor_rules(s: Mission, xp):

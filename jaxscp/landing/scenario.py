@@ -1,18 +1,23 @@
 """A landing scenario: a mission with the interface that a planner needs."""
 
+import os
+
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Int
 
+from jaxscp.core import pytree_file
 from jaxscp.core.types import Flag
-from jaxscp.landing.allocation import allocate
+from jaxscp.landing.allocation import allocate, fits
 from jaxscp.landing.guess import initial_guess
-from jaxscp.landing.mission import Mission
+from jaxscp.landing.mission import PARTS, Mission
 from jaxscp.landing.problem import landing_problem
 from jaxscp.landing.units import Units, in_units, units_of
 from jaxscp.landing.validation import check_types, valid, validate
 from jaxscp.landing.warm_guess import warm_guess
-from jaxscp.problem.form import Form
+from jaxscp.problem.errors import InvalidScenario
+from jaxscp.problem.form import Continuous, Form
 from jaxscp.problem.node_values import node_times
 from jaxscp.problem.problem import OptimalControlProblem
 from jaxscp.problem.trajectory import Trajectory
@@ -31,6 +36,37 @@ class LandingScenario(Mission):
         5
         >>> slow = dataclasses.replace(scenario, limits=jaxscp.flight_limits(speed=3.0))
     """
+
+    def save(self, file: str | os.PathLike) -> None:
+        """Write all numbers of the scenario to an .npz, for ``LandingScenario.load``. No code is stored.
+
+        Raises:
+            OSError: if the file cannot be written.
+
+        Example:
+            >>> import jaxscp, pathlib, tempfile
+            >>> file = pathlib.Path(tempfile.mkdtemp()) / "scenario.npz"
+            >>> jaxscp.scenarios.platform_to_platform().save(file)
+            >>> jaxscp.LandingScenario.load(file).corridor.count
+            5
+        """
+        pytree_file.write(file, {"scenario": self})
+
+    @staticmethod
+    def load(file: str | os.PathLike) -> "LandingScenario":
+        """The scenario that ``save`` wrote, or ``Solution.save(file, scenario)``, bitwise.
+
+        Raises:
+            ValueError: if the file is damaged, of a newer format, or holds no landing; the message names the field.
+            OSError: if the file cannot be read.
+        """
+        found = pytree_file.read(file, "scenario", (LandingScenario, *PARTS))
+        if not isinstance(found, LandingScenario):
+            raise ValueError(
+                f"{file}: holds no scenario of a landing; scenario.save(file) writes one, and so does "
+                "solution.save(file, scenario)"
+            )
+        return found
 
     def check(self, nodes: int) -> None:
         """Raise ``InvalidScenario`` if the scenario contradicts itself.
@@ -64,18 +100,21 @@ class LandingScenario(Mission):
         return in_units(self, units), units
 
     def problem(
-        self, nodes: int, form: Form, context: Allocation | None = None
+        self,
+        nodes: int,
+        form: Form = Continuous(),  # noqa: B008
+        context: Allocation | None = None,
     ) -> tuple[OptimalControlProblem, Allocation]:
         """The optimal control problem, and the polytope of every interval.
 
         Args:
             nodes: N.
-            form: statement that the method solves.
-            context: allocation to use again, in a re-plan.
+            form: statement that the method solves; the default method's by default.
+            context: allocation to use again, in a re-plan; another one is returned if it does not fit the corridor.
         """
-        if context is None:
-            frozen = jax.lax.stop_gradient(self)  # the allocation is no differentiable function
-            context = allocate(frozen.corridor, frozen.start.position, frozen.goal.position, nodes)
+        frozen = jax.lax.stop_gradient(self)  # the allocation is no differentiable function
+        fresh = allocate(frozen.corridor, frozen.start.position, frozen.goal.position, nodes)
+        context = fresh if context is None else jnp.where(fits(context, fresh), context, fresh)
         return landing_problem(self, context, form), context
 
     def guess(self, problem: OptimalControlProblem, context: Allocation) -> Trajectory:
@@ -84,5 +123,15 @@ class LandingScenario(Mission):
         return Trajectory(node_times(guess.dilation), guess.states, guess.controls, guess.dilation)
 
     def warm_guess(self, plan: Trajectory) -> Trajectory:
-        """A plan of a similar scenario, moved to this one's start and goal."""
+        """A plan of a similar scenario, moved to this one's start and goal.
+
+        Raises:
+            InvalidScenario: if the plan is not one of 13 states, or has another number of rotors.
+        """
+        sizes = (("state", 13, "states"), ("control", self.airframe.body.control_size, "rotors"))
+        for name, size, words in sizes:
+            if (found := getattr(plan, name).shape[-1]) != size:
+                raise InvalidScenario(
+                    f"solution.trajectory.{name}: has {found} columns, but the scenario has {size} {words}."
+                )
         return warm_guess(jax.lax.stop_gradient(self), plan)

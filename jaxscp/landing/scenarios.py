@@ -4,13 +4,14 @@ The paper gives neither its clouds nor its corridors; sizes here follow its text
 obstacles, and one up to a high platform).
 """
 
+from typing import Any, TypedDict, Unpack
+
 import numpy as np
 
 from jaxscp.core.arrays import floats
-from jaxscp.core.types import Points
 from jaxscp.corridor.polytopes import Corridor, box, connect
-from jaxscp.dynamics.airframes import paper_mav
-from jaxscp.landing.mission import BodyState, Weights, at_rest
+from jaxscp.dynamics.airframes import Airframe, paper_mav
+from jaxscp.landing.mission import BodyState, Components, Ellipsoids, FlightLimits, Weights, at_rest
 from jaxscp.landing.scenario import LandingScenario
 
 _SPACING = 0.15  # m between obstacle points
@@ -54,16 +55,37 @@ def ascent_to_platform() -> LandingScenario:
     return _mission(at_rest([0.0, 0.0, 1.0]), at_rest([5.0, 3.0, 4.7]), corridor, obstacles)
 
 
+class Parts(TypedDict, total=False):
+    """Keyword arguments of ``through``: the fields of ``LandingScenario``."""
+
+    airframe: Airframe
+    cone_angle: Any
+    weights: Weights
+    dilation_min: Any
+    dilation_max: Any
+    limits: FlightLimits
+    keep_out: Ellipsoids | None
+    gates: Ellipsoids | None
+    deck_velocity: Any
+    start_fixed: Components | None
+    goal_fixed: Components | None
+
+
 def through(
-    corridor: Corridor, start: BodyState, goal: BodyState, obstacles: Points | None = None
+    corridor: Corridor, start: BodyState, goal: BodyState, obstacles: Any = None, **parts: Unpack[Parts]
 ) -> LandingScenario:
-    """The paper's vehicle, cone and weights in a corridor of one's own.
+    """A flight through a corridor of one's own, with the paper's vehicle, cone and weights unless others are given.
 
     Args:
         corridor: from ``jaxscp.corridor.build_corridor``, or by hand.
         start: where the flight begins, ``jaxscp.at_rest(position, yaw)`` say.
         goal: where it lands.
         obstacles: (points, 3) in m, for pictures.
+        parts: other fields of ``LandingScenario``: airframe, weights, limits, keep_out, gates, deck_velocity,
+            cone_angle, dilation_min, dilation_max, start_fixed, goal_fixed.
+
+    Raises:
+        TypeError: a scenario has no such field.
 
     Example:
         >>> import jaxscp
@@ -72,18 +94,18 @@ def through(
         >>> ends = jaxscp.at_rest([1.0, 2.0, 1.0]), jaxscp.at_rest([5.0, 2.0, 1.0])
         >>> float(jaxscp.scenarios.through(corridor, *ends).airframe.body.mass)
         0.928
+        >>> limits = jaxscp.flight_limits(speed=2.0)
+        >>> float(jaxscp.scenarios.through(corridor, *ends, limits=limits).limits.speed)
+        2.0
     """
-    return LandingScenario(
-        airframe=paper_mav(),
-        start=start,
-        goal=goal,
-        corridor=corridor,
-        cone_angle=floats(np.pi / 4),
-        weights=Weights(control=floats(1.0), time=floats(0.0)),
-        dilation_min=floats(0.5),
-        dilation_max=floats(20.0),
-        obstacles=obstacles,
-    )
+    paper: Parts = {
+        "airframe": paper_mav(),
+        "cone_angle": np.pi / 4,
+        "weights": Weights(control=1.0, time=0.0),
+        "dilation_min": 0.5,
+        "dilation_max": 20.0,
+    }
+    return LandingScenario(start=start, goal=goal, corridor=corridor, obstacles=obstacles, **(paper | parts))
 
 
 def _mission(start: BodyState, goal: BodyState, corridor: Corridor, obstacles) -> LandingScenario:

@@ -9,10 +9,8 @@ from jaxscp.core.trees import named_leaves
 from jaxscp.core.types import Flag
 from jaxscp.landing.mission import Mission
 from jaxscp.landing.rules import Rule, rules
-
-
-class InvalidScenario(ValueError):
-    """A scenario contradicts itself; the message names each field and the likely cause."""
+from jaxscp.landing.structure import check_parts
+from jaxscp.problem.errors import InvalidScenario as InvalidScenario
 
 
 def validate(scenario: Mission, nodes: int) -> None:
@@ -25,7 +23,7 @@ def validate(scenario: Mission, nodes: int) -> None:
         >>> jaxscp.validate(heavy, nodes=30)
         Traceback (most recent call last):
         ...
-        jaxscp.landing.validation.InvalidScenario: airframe: the rotors cannot carry the weight ...
+        jaxscp.problem.errors.InvalidScenario: airframe: the rotors cannot carry the weight ...
     """
     check_types(scenario, nodes)
     concrete = jax.tree.map(np.asarray, scenario)
@@ -44,16 +42,13 @@ def valid(scenario: Mission) -> Flag:
 
 
 def check_types(scenario: Mission, nodes: int) -> None:
-    """Raise ``InvalidScenario`` for shapes and precision: leaves may be ``jax.ShapeDtypeStruct``."""
+    """Raise ``InvalidScenario`` for parts, shapes and precision: leaves may be ``jax.ShapeDtypeStruct``."""
     if not double_precision():
         raise InvalidScenario(PRECISION)
     if nodes < 2:
         raise InvalidScenario(f"nodes: a flight needs at least 2 nodes, not {nodes}.")
+    check_parts(scenario)
     for name, leaf in named_leaves(scenario):
-        if not hasattr(leaf, "dtype"):
-            raise InvalidScenario(
-                f"{name}: expected an array, got {type(leaf).__name__}; wrap it in jnp.asarray."
-            )
         if leaf.dtype != np.float64:
             raise InvalidScenario(
                 f"{name}: expected float64, got {leaf.dtype}. Was the scenario built before jax_enable_x64 was set?"

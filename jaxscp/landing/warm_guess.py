@@ -16,6 +16,7 @@ from jaxscp.problem.trajectory import Trajectory
 
 def warm_guess(mission: Mission, plan: Trajectory) -> Trajectory:
     """The plan with its ends on the mission's boundary; components that are free there stay."""
+    mission = mission.with_unit_directions()
     goal = mission.goal_at(plan.time[-1])
     ends = [
         _correction(plan.state[0], mission.start, mission.start_fixed),

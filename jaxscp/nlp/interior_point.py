@@ -5,6 +5,9 @@ Nesterov-Todd scaling. mu falls as the iterates follow the path (Waechter and Bi
 interior-point filter line-search algorithm for large-scale nonlinear programming", 2006). There is no line search: the
 convex subproblems lead near enough. Each iteration factors one matrix and uses second derivatives. So convergence is
 quadratic; the subproblems alone converge more slowly.
+
+Far from the optimum, second-order conditions are smooth inequalities of one number (``ratio_form``): in their cones
+the steps would be short. The last steps are in the cones, so that the solution is a point of their central path.
 """
 
 import equinox as eqx
@@ -14,17 +17,13 @@ from jaxtyping import Array, Float
 
 from jaxscp.core import batching
 from jaxscp.core.types import Count, Flag, Scalar
-from jaxscp.linalg import riccati
+from jaxscp.nlp import ratio_form
 from jaxscp.nlp.central_path import MU, RELAXATION
+from jaxscp.nlp.newton_direction import Pairs, factor_definite, newton_direction, pairs_of
 from jaxscp.nlp.newton_system import (
-    EliminatedInequalities,
-    Scalings,
     SecondOrderModel,
-    eliminate_inequalities,
     jacobian_product,
     newton_matrix,
-    scaled,
-    scalings,
     second_order_model,
 )
 from jaxscp.problem.multipliers import Multipliers
@@ -36,7 +35,7 @@ from jaxscp.transcription.shooting import Grid, evaluate
 FRACTION_TO_BOUNDARY = 0.99  # of the way to the cone's boundary that a step may take
 BARRIER_TOLERANCE_FACTOR = 300.0  # times mu: residual below which mu may fall
 MAX_STEP = 0.3  # largest step of a variable, in its typical size
-LEAST_CORRECTION, GROWTH, MOST_CORRECTION = 1e-4, 8.0, 1e4  # of the diagonal, where the matrix is indefinite
+IN_CONES = 1e-6  # KKT residual below which second-order conditions leave the ratio form
 
 
 class Iterate(eqx.Module):
@@ -45,11 +44,15 @@ class Iterate(eqx.Module):
     z: Float[Array, "nodes variables"]
     y: Multipliers
     slack: Values
+    values: Values
+    """Of the inequalities in their cones, predicted by the last step."""
+    chosen: ratio_form.Chosen
+    """Second-order conditions that are in ratio form; none in the last steps."""
     mu: Scalar
     inertia_correction: Scalar
     """Last nonzero addition to the (scaled) diagonal."""
     error: Scalar
-    """KKT residual of the previous iterate, at the final mu; infinite before that."""
+    """KKT residual of the previous iterate, at the final mu and in the cones; infinite before that."""
     step_norm: Scalar
     """Largest change of a variable by the last step, in typical sizes."""
     steps: Count
@@ -113,9 +116,12 @@ class NLPInteriorPoint(eqx.Module):
         """First iterate: slacks s of the point, raised to mu / max(y, sqrt(mu)), so that mu / s exceeds neither."""
         mu = jnp.asarray(self.initial_mu, z.dtype)
         values = inequalities(problem, z, evaluate(problem, z, grid), RELAXATION)
+        chosen = ratio_form.away_from_apex(problem, values)
         slack = tuple(
             cone.shift_inside(g, mu / jnp.maximum(multiplier, jnp.sqrt(mu)))
-            for cone, g, multiplier in zip(cones(problem), values, y.values, strict=True)
+            for cone, g, multiplier in zip(
+                cones(problem), ratio_form.in_ratio_form(chosen, values), y.values, strict=True
+            )
         )
         multipliers = tuple(
             -mu * cone.barrier_gradient(s) for cone, s in zip(cones(problem), slack, strict=True)
@@ -125,6 +131,8 @@ class NLPInteriorPoint(eqx.Module):
             z=z,
             y=Multipliers(y.flow, y.initial, y.final, multipliers),
             slack=slack,
+            values=values,
+            chosen=chosen,
             mu=mu,
             inertia_correction=jnp.zeros_like(mu),
             error=jnp.full_like(mu, jnp.inf),
@@ -137,14 +145,16 @@ class NLPInteriorPoint(eqx.Module):
         self, problem: ScaledTimeProblem, old: Iterate, grid: Grid, scale: Float[Array, "variables"]
     ) -> Iterate:
         """One Newton step."""
-        model = second_order_model(problem, old.z, old.y, grid)
-        pairs = _pairs(problem, old, model)
+        y = ratio_form.cone_multipliers(old.chosen, old.y, old.values)
+        in_cones = second_order_model(problem, old.z, y, grid)
+        model, curved = _in_ratio_form(old, in_cones)
+        pairs = pairs_of(problem, old.slack, old.y.values, curved)
         error = _kkt_residual(problem, old, model, pairs, scale)
         mu = self._next_mu(old.mu, error)
-        factor, correction = _factor_definite(
+        factor, correction = factor_definite(
             newton_matrix(problem, model, pairs.eliminated, scale), old.inertia_correction
         )
-        step = _direction(problem, old, model, pairs, mu, factor, scale)
+        step = newton_direction(problem, model, pairs, mu, factor, scale)
 
         size = jnp.max(jnp.abs(step.z / scale))
         primal = jnp.minimum(
@@ -153,17 +163,22 @@ class NLPInteriorPoint(eqx.Module):
         dual = _step_length(problem, old.y.values, step.y.values)
         good = factor.definite & jnp.isfinite(size)
         advance = lambda v, dv, t: jax.tree.map(lambda a, b: jnp.where(good, a + t * b, a), v, dv)  # noqa: E731
-        return Iterate(
+        changes = jacobian_product(problem, in_cones.jacobians, step.z)
+        last_steps = ~ratio_form.any_of(old.chosen)
+        new = Iterate(
             z=advance(old.z, step.z, primal),
             y=advance(old.y, step.y, dual),
             slack=advance(old.slack, step.slack, primal),
+            values=advance(in_cones.values, changes, primal),
+            chosen=old.chosen,
             mu=mu,
             inertia_correction=correction,
-            error=jnp.where(old.mu <= self.final_mu, error, jnp.inf),
+            error=jnp.where(last_steps & (old.mu <= self.final_mu), error, jnp.inf),
             step_norm=primal * size,
             steps=old.steps + 1,
             failed=~good,
         )
+        return _into_cones(problem, new, ~last_steps & (old.mu <= self.final_mu) & (error <= IN_CONES))
 
     def _next_mu(self, mu: Scalar, error: Scalar) -> Scalar:
         """The barrier parameter, lowered where the iterate is close to the central path."""
@@ -171,91 +186,32 @@ class NLPInteriorPoint(eqx.Module):
         return jnp.where(ready, jnp.maximum(self.final_mu, jnp.minimum(0.2 * mu, mu**1.5)), mu)
 
 
-class _Pairs(eqx.Module):
-    """The slacks and multipliers of all inequalities at an iterate."""
-
-    scalings: Scalings
-    """W."""
-    barrier_gradients: Values
-    """Of the slacks."""
-    eliminated: EliminatedInequalities
-    """With J' times multipliers, barrier gradients and scaled slack residuals W^-2 (g - s)."""
+def _in_ratio_form(at: Iterate, model: SecondOrderModel) -> tuple[SecondOrderModel, SecondOrderModel]:
+    """The model with the chosen conditions in ratio form, and with rows for their curvature besides."""
+    values = ratio_form.in_ratio_form(at.chosen, model.values)
+    plain, curved = ratio_form.jacobians_in_ratio_form(at.chosen, model.values, model.jacobians, at.slack)
+    parts = lambda m: (m.values, m.jacobians)  # noqa: E731
+    return eqx.tree_at(parts, model, (values, plain)), eqx.tree_at(parts, model, (values, curved))
 
 
-def _pairs(problem: ScaledTimeProblem, at: Iterate, model: SecondOrderModel) -> _Pairs:
-    w = scalings(problem, at.slack, at.y.values)
-    gradients = tuple(cone.barrier_gradient(s) for cone, s in zip(cones(problem), at.slack, strict=True))
-    residuals = tuple(
-        scaling.inverse_square(g - s) for scaling, s, g in zip(w, at.slack, model.values, strict=True)
+def _into_cones(problem: ScaledTimeProblem, at: Iterate, now: Flag) -> Iterate:
+    """The iterate with every condition in its cone, if ``now``."""
+    slack = ratio_form.back_to_cones(at.chosen, at.slack, at.values)
+    central = tuple(-at.mu * cone.barrier_gradient(s) for cone, s in zip(cones(problem), slack, strict=True))
+    multipliers = ratio_form.replaced(at.chosen, at.y.values, central)
+    slack, multipliers, chosen = jax.tree.map(
+        lambda a, b: jnp.where(now, a, b),
+        (slack, multipliers, jax.tree.map(jnp.zeros_like, at.chosen)),
+        (at.slack, at.y.values, at.chosen),
     )
-    eliminated = eliminate_inequalities(problem, model.jacobians, w, at.y.values, gradients, residuals)
-    return _Pairs(w, gradients, eliminated)
-
-
-class _Step(eqx.Module):
-    """A Newton direction."""
-
-    z: Float[Array, "nodes variables"]
-    y: Multipliers
-    slack: Values
-
-
-def _direction(
-    problem: ScaledTimeProblem,
-    old: Iterate,
-    model: SecondOrderModel,
-    pairs: _Pairs,
-    mu: Scalar,
-    factor: riccati.Factor,
-    scale: Float[Array, "variables"],
-) -> _Step:
-    """Newton direction towards the central path at mu."""
-    _, barrier, slack_residual = pairs.eliminated.products
-    rhs = model.residual
-    gradient = -mu * barrier - slack_residual - rhs.nodes
-    right = riccati.KKTVector(gradient, -rhs.flow, -rhs.initial, -rhs.final)
-    move = scaled(riccati.solve(factor, scaled(right, scale)), scale)
-    derivatives = jacobian_product(problem, model.jacobians, move.nodes)
-    slack = tuple(d + g - s for d, g, s in zip(derivatives, model.values, old.slack, strict=True))
-    multipliers = tuple(
-        -mu * gradient - y - w.inverse_square(ds)
-        for w, gradient, y, ds in zip(
-            pairs.scalings, pairs.barrier_gradients, old.y.values, slack, strict=True
-        )
-    )
-    return _Step(move.nodes, Multipliers(move.flow, move.initial, move.final, multipliers), slack)
-
-
-def _factor_definite(matrix: riccati.LQProblem, last: Scalar) -> tuple[riccati.Factor, Scalar]:
-    """Factor of the matrix, and the inertia correction used: the least of a rising sequence that makes it definite.
-
-    The correction is zero where the second-order condition holds.
-    """
-
-    def retry(carry):
-        _, _, after = carry
-        least = jnp.maximum(LEAST_CORRECTION, last / GROWTH)
-        return (
-            riccati.factor(matrix.shifted(after)),
-            after,
-            jax.lax.select(after > 0, GROWTH * after, least),
-        )
-
-    def fails(carry):
-        factor, correction, _ = carry
-        return ~factor.definite & (correction < MOST_CORRECTION)
-
-    none = jnp.zeros_like(last)
-    factor, used, _ = jax.lax.while_loop(fails, retry, (riccati.no_factor(matrix), none, none))
-    remembered: Array = jnp.where(used > 0, used, last)
-    return factor, remembered
+    return eqx.tree_at(lambda i: (i.slack, i.y.values, i.chosen), at, (slack, multipliers, chosen))
 
 
 def _kkt_residual(
     problem: ScaledTimeProblem,
     at: Iterate,
     model: SecondOrderModel,
-    pairs: _Pairs,
+    pairs: Pairs,
     scale: Float[Array, "variables"],
 ) -> Scalar:
     """Largest residual of the optimality conditions at an iterate and its mu."""

@@ -3,8 +3,11 @@
 import os
 
 import equinox as eqx
+import numpy as np
 
 from jaxscp.aot import aot
+from jaxscp.problem.errors import InvalidScenario
+from jaxscp.problem.trajectory import Trajectory
 from jaxscp.scp.method import Method
 from jaxscp.scp.newton import NewtonSCP
 from jaxscp.solver.pipeline import Pipeline
@@ -43,8 +46,17 @@ class Planner(eqx.Module):
         """
         return self.pipeline(scenario)
 
-    def replan(self, solution: Solution, scenario: Scenario) -> Solution:
-        """Plan a changed scenario, from the solution of a similar one."""
+    def replan(self, solution: Solution | Trajectory, scenario: Scenario) -> Solution:
+        """Plan a changed scenario, from the solution of a similar one.
+
+        Args:
+            solution: of this planner, or its trajectory: (nodes, states) and (nodes, controls). Each interval of a
+                solution keeps its polytope, if the new corridor has as many; else polytopes are chosen anew.
+            scenario: the changed one.
+
+        Raises:
+            InvalidScenario: as in a call; or if the trajectory has another number of nodes, states or controls.
+        """
         return self.pipeline.again(solution, scenario)
 
     def compile(self, scenario: Scenario, batch_size: int | None = None) -> aot.CompiledPlanner:
@@ -85,5 +97,14 @@ class Planner(eqx.Module):
 
     @property
     def pipeline(self) -> Pipeline:
-        """Its programs."""
+        """Its programs.
+
+        Raises:
+            InvalidScenario: if a field of the planner is of another class.
+        """
+        for field, least in (("nodes", 2), ("samples", 2)):
+            if not isinstance(value := getattr(self, field), int | np.integer) or value < least:
+                raise InvalidScenario(f"{field}: expected a whole number, {least} or more, got {value!r}.")
+        if isinstance(self.method, type) or not isinstance(self.method, Method):
+            raise InvalidScenario(f"method: expected NewtonSCP() or PTR(), say, got {self.method!r}.")
         return Pipeline(self.nodes, self.method, self.samples)

@@ -96,11 +96,12 @@ def zone_margin(zones: Ellipsoids, curves: Curves) -> Array:
     from_centre = curves.state[:, None, :3] - np.asarray(zones.centres)
     level = np.linalg.norm(np.einsum("zij,pzj->pzi", shapes, from_centre), axis=2)
     least = 1.0 / np.linalg.norm(shapes, ord=2, axis=(1, 2))
-    return np.min((level - 1.0) * least, axis=1)
+    return np.min((level - 1.0) * least, axis=1, initial=np.inf)
 
 
 def _depths(corridor: Corridor, curves: Curves) -> Array:
     """Distance of every point to the nearest face of every polytope, (points, polytopes)."""
+    corridor = corridor.with_unit_normals()
     normals, offsets = np.asarray(corridor.normals), np.asarray(corridor.offsets)
     depth = offsets - np.einsum("kfc,pc->pkf", normals, curves.state[:, :3])
     used = np.linalg.norm(normals, axis=2) > 1e-9

@@ -69,7 +69,7 @@ def draw_clearance(ax: Axes, scenario: LandingScenario, curves: Curves, nodes: C
     """Clearance in m to the union of polytopes (negative outside), to keep-out zones and to obstacle points."""
     ax.plot(curves.time, union_margin(scenario.corridor, curves), color=BLUE, label="to corridor")
     ax.plot(nodes.time, union_margin(scenario.corridor, nodes), "o", color=BLACK, markersize=3)
-    if scenario.keep_out is not None:
+    if scenario.keep_out is not None and scenario.keep_out.centres.shape[0]:
         ax.plot(curves.time, zone_margin(scenario.keep_out, curves), color=PURPLE, label="to zone")
     if scenario.obstacles is not None:
         distance, _ = KDTree(np.asarray(scenario.obstacles)).query(curves.state[:, :3])

@@ -132,12 +132,22 @@ def fixed_state(
         units: of the components.
         tolerance: error of a component that counts as none.
 
+    Raises:
+        InvalidProblem: for a single number in place of a list, and for other numbers of names or units.
+
     Example:
         >>> import jaxscp
         >>> goal = jaxscp.fixed_state([6.0, 0.0, None], names=("x", "y", "heading"), units=("m", "m", "rad"))
         >>> [rows.name for rows in goal.rows]
         ['x', 'y']
     """
+    if not isinstance(values, list | tuple) and np.ndim(values) == 0:
+        raise InvalidProblem(
+            f"fixed_state: expected one value for each component, [{values}] say, got {values!r}."
+        )
+    for field, texts in (("names", names), ("units", units)):
+        if texts and len(texts) != len(values):
+            raise InvalidProblem(f"fixed_state: {field} has {len(texts)} entries, values has {len(values)}.")
     chosen = tuple(i for i, v in enumerate(values) if v is not None)
     rows = tuple(
         EndRows(names[i] if names else f"x[{i}]", units[i] if units else "", 1, tolerance) for i in chosen

@@ -85,6 +85,7 @@ def rules(problem: OptimalControlProblem, guess: Trajectory, xp: Any) -> Iterato
         xp.all(guess.dilation > 0.0),
         f"guess.dilation: must be positive, is{_value(xp, xp.min(guess.dilation))}.",
     )
+    yield from _rules_of_ends(problem, xp)
     yield from _rules_of_time(problem, xp)
     if problem.scale is not None:
         for name, leaf in named_leaves(problem.scale):
@@ -100,6 +101,18 @@ def rules(problem: OptimalControlProblem, guess: Trajectory, xp: Any) -> Iterato
                 c.tolerance > 0.0, f"{c.name}: tolerance must be positive, is{_value(xp, c.tolerance)}."
             )
         yield from _rules_of_bounds(problem, c, xp)
+
+
+def _rules_of_ends(problem: OptimalControlProblem, xp: Any) -> Iterator[Rule]:
+    """Ends that are fixed have finite values."""
+    for where in ("initial", "final"):
+        values = fixed_values(getattr(problem.boundary, where), problem.dynamics.state_size)
+        for i, value in enumerate(values or []):
+            if value is not None:
+                good = ~xp.isinf(value)
+                yield Rule(
+                    good, f"boundary.{where}: x[{i}] is fixed at{_value(xp, value)}; None leaves it free."
+                )
 
 
 def _value(xp: Any, value: Any) -> str:

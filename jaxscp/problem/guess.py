@@ -5,6 +5,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from jaxscp.core.arrays import namespace
 from jaxscp.core.types import Scalar
@@ -30,8 +31,8 @@ def straight_line(
         control: (controls,) at every node, the thrusts of hover, say; by default as near zero as the bounds allow.
 
     Raises:
-        InvalidProblem: for an end given by a function, which has no value to start from, and for another number of
-            controls; the message names the field.
+        InvalidProblem: for an end given by a function, which has no value to start from. Also for another number of
+            controls, and for an end or a final time that is not finite. The message names the field.
 
     Example:
         >>> import jaxscp
@@ -45,18 +46,10 @@ def straight_line(
         [[0.0, 0.0], [0.5, 0.0], [1.0, 0.0]]
     """
     check_parts(problem)
-    nodes, states = problem.time.nodes, problem.dynamics.state_size
-    ends = []
-    for where in ("initial", "final"):
-        condition = getattr(problem.boundary, where)
-        values = fixed_values(condition, states)
-        if values is None:
-            names = ", ".join(rows.name for rows in condition.rows) or "its rows"
-            raise InvalidProblem(
-                f"boundary.{where}: {names} are given by a function, so that a straight line has no end there. Give a "
-                "guess by Trajectory.from_arrays(times, states, controls)."
-            )
-        ends.append(values)
+    nodes = problem.time.nodes
+    ends = [_end(problem, where) for where in ("initial", "final")]
+    if final_time is not None and _known(final_time) and not (np.isfinite(final_time) and final_time > 0.0):
+        raise InvalidProblem(f"final_time: must be positive and finite, got {final_time}.")
     pairs = [_both(first, last) for first, last in zip(*ends, strict=True)]
     xp = namespace(pairs)
     first, last = (xp.asarray(end, float) for end in zip(*pairs, strict=True))
@@ -66,6 +59,26 @@ def straight_line(
     time = jnp.linspace(0.0, 1.0, nodes) * duration
     dilation = jnp.broadcast_to(jnp.asarray(duration, float), (nodes,))
     return Trajectory(time, jnp.asarray(state), _controls(problem, control), dilation)
+
+
+def _end(problem: OptimalControlProblem, where: str) -> list[Any]:
+    """Values of the state at an end, None where free."""
+    condition = getattr(problem.boundary, where)
+    values = fixed_values(condition, problem.dynamics.state_size)
+    if values is None:
+        names = ", ".join(rows.name for rows in condition.rows) or "its rows"
+        raise InvalidProblem(
+            f"boundary.{where}: {names} are given by a function, so that a straight line has no end there. Give a "
+            "guess by Trajectory.from_arrays(times, states, controls)."
+        )
+    for i, value in enumerate(values):
+        if value is not None and _known(value) and not np.isfinite(value):
+            raise InvalidProblem(f"boundary.{where}: x[{i}] is fixed at {value}; None leaves it free.")
+    return values
+
+
+def _known(value: Any) -> bool:
+    return not isinstance(value, Tracer)
 
 
 def _both(first: Any, last: Any) -> tuple[Any, Any]:

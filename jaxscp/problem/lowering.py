@@ -39,7 +39,7 @@ def over_scaled_time(
         assert guess is not None, "a problem with a scale needs its guess"
         sizes = measured_sizes(problem, problem.scale, guess)
     constraints = [*problem.constraints, *_limits_of_final_time(problem)]
-    least, most = _dilation_limits(problem)
+    least, most = dilation_limits(problem)
     unit = 1.0 if sizes is None else sizes.time
     return ScaledTimeProblem(
         dynamics=problem.dynamics,
@@ -111,7 +111,8 @@ def _of_one_node(parameters: Any) -> Any:
     return jax.tree.map(lambda v: v[0], parameters)
 
 
-def _dilation_limits(problem: OptimalControlProblem) -> tuple[Scalar, Scalar]:
+def dilation_limits(problem: OptimalControlProblem) -> tuple[Scalar, Scalar]:
+    """Least and greatest dilation of a node, in s."""
     final = problem.time.final
     if isinstance(final, FixedTime):
         return final.duration, final.duration

@@ -12,8 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxscp.core.arrays import namespace
 from jaxscp.core.types import Controls, Nodes, Scalar, States
+from jaxscp.dynamics.base import Dynamics
+from jaxscp.problem.errors import InvalidProblem
 from jaxscp.problem.node_values import node_times
+from jaxscp.problem.samples import ROUNDING, STEPS, Pieces, Samples, samples_at
 
 
 class Trajectory(eqx.Module):
@@ -33,6 +37,8 @@ class Trajectory(eqx.Module):
 
     zero_order_hold: tuple[int, ...] = eqx.field(default=(), static=True)
     """Numbers of the controls that keep the value of an interval's first node."""
+    dynamics: Dynamics | None = None
+    """Of the states between nodes; a solution's trajectory has them."""
 
     @property
     def nodes(self) -> int:
@@ -69,9 +75,94 @@ class Trajectory(eqx.Module):
         return (1.0 - fraction) * first[i] + fraction * last[i]
 
     def state_at(self, time: Scalar | float) -> Float[Array, "states"]:
-        """State at a time in seconds, linear between nodes: for display. Integrate the controls for more."""
+        """State at a time in seconds, linear between nodes: for display. ``at`` integrates the dynamics."""
         i, fraction = self._interval(time)
         return (1.0 - fraction) * self.state[i] + fraction * self.state[i + 1]
+
+    def with_dynamics(self, dynamics: Dynamics | None) -> Trajectory:
+        """The trajectory with other dynamics, or without any.
+
+        Args:
+            dynamics: ``problem.dynamics``, or ``scenario.airframe.body`` of a landing.
+        """
+        return Trajectory(self.time, self.state, self.control, self.dilation, self.zero_order_hold, dynamics)
+
+    def at(self, times: Any, *, steps: int = STEPS) -> Samples:
+        """States, controls and derivatives at times, by integration of the dynamics from the node before.
+
+        The controls between nodes are those that the problem states. ``jit``, ``vmap`` and ``grad`` work. At a node
+        that is not the last, the values are the node's own.
+
+        Args:
+            times: (n,) in s, or one number; from zero to the final time.
+            steps: steps from the node before, of a method of sixth order.
+
+        Returns:
+            Samples with axes (n, ...); for a landing ``FlightSamples``, with accelerations.
+
+        Raises:
+            ValueError: if a time is outside; inside ``jit`` and ``vmap``, its values are NaN. Also without dynamics.
+
+        Example:
+            >>> import jaxscp
+            >>> drive = jaxscp.Trajectory.from_arrays([0.0, 2.0], [[0.0, 0.0], [2.0, 2.0]], [[1.0], [1.0]])
+            >>> drive.with_dynamics(jaxscp.DoubleIntegrator(1)).at(1.0).state.round(9).tolist()  # linear: 1.0, 1.0
+            [0.5, 1.0]
+        """
+        dynamics = self._known_dynamics()
+        if namespace(times, self.time) is np:
+            _check_inside(np.asarray(times), np.asarray(self.time))
+        times = jnp.asarray(times).astype(self.time.dtype)
+        if times.ndim > 1:
+            raise ValueError(f"times: one number or one axis is expected, got shape {times.shape}")
+        first, last = self.interval_controls()
+        return samples_at(dynamics, Pieces(self.time, self.dilation, self.state, first, last), times, steps)
+
+    def sample(self, *, rate: float | int, steps: int = STEPS) -> Samples:
+        """``at`` equal steps in time: 0, 1 / rate, ... up to the final time, which need not be one of them.
+
+        Args:
+            rate: samples a second, in Hz.
+            steps: as in ``at``.
+
+        Raises:
+            TypeError: inside ``jit`` and ``vmap``, where the number of samples is not known.
+            ValueError: if the rate is not positive, for a batch, or without dynamics.
+
+        Example:
+            >>> import jaxscp
+            >>> drive = jaxscp.Trajectory.from_arrays([0.0, 2.0], [[0.0, 0.0], [2.0, 2.0]], [[1.0], [1.0]])
+            >>> drive.with_dynamics(jaxscp.DoubleIntegrator(1)).sample(rate=2.0).time.tolist()
+            [0.0, 0.5, 1.0, 1.5, 2.0]
+        """
+        self._known_dynamics()
+        if namespace(self.time, rate) is jnp:
+            raise TypeError(
+                "trajectory.sample: the number of samples follows from the final time, which is not known inside jit "
+                "and vmap. Call trajectory.at(times), with as many times as you choose."
+            )
+        if not np.isfinite(rate) or rate <= 0.0:
+            raise ValueError(f"rate: a positive number of samples a second is expected, got {rate}")
+        duration = float(np.asarray(self.time)[-1])
+        if not np.isfinite(duration):
+            raise ValueError(f"trajectory.time: ends at {duration}, so that nothing can be sampled")
+        count = int(np.floor(duration * rate * (1.0 + ROUNDING))) + 1
+        return self.at(np.minimum(np.arange(count) / rate, duration), steps=steps)
+
+    def _known_dynamics(self) -> Dynamics:
+        """The dynamics of one trajectory."""
+        if self.dynamics is None:
+            raise ValueError(
+                "trajectory: it has no dynamics, so that nothing between its nodes is known. A solution's trajectory "
+                "has them. Else call trajectory.with_dynamics(problem.dynamics) first, or of a landing, "
+                "trajectory.with_dynamics(scenario.airframe.body)."
+            )
+        if self.time.ndim != 1:
+            raise ValueError(
+                f"trajectory: it is a batch, with time of shape {self.time.shape}. Take one element, "
+                "jax.tree.map(lambda v: v[0], trajectory), or call trajectory.at inside jax.vmap."
+            )
+        return self.dynamics
 
     def _interval(self, time: Scalar | float):
         """Number of the interval at a time, and the fraction of it, by scaled time."""
@@ -110,7 +201,8 @@ class Trajectory(eqx.Module):
             As many nodes, at equal distances in time.
 
         Raises:
-            ValueError: if times do not rise, or lengths differ.
+            InvalidProblem: if times do not rise, lengths differ, or a value is no finite number; a ``ValueError``. The
+                message names the field.
 
         Example:
             >>> import jaxscp
@@ -118,12 +210,17 @@ class Trajectory(eqx.Module):
             >>> path.time.tolist(), path.state[:, 0].round(2).tolist()
             ([0.0, 2.0, 4.0], [0.0, 1.33, 2.0])
         """
-        times, states, controls = (np.asarray(v, float) for v in (times, states, controls))
+        times, states, controls = (
+            _numbers(values, name)
+            for name, values in (("times", times), ("states", states), ("controls", controls))
+        )
         if times.ndim != 1 or len(times) < 2 or np.any(np.diff(times) <= 0.0) or times[0] != 0.0:
-            raise ValueError("times: two or more are needed, rising from zero on")
+            raise InvalidProblem("times: two or more are needed, rising from zero on")
         for name, values in (("states", states), ("controls", controls)):
             if values.ndim != 2 or len(values) != len(times):
-                raise ValueError(f"{name}: expected ({len(times)}, columns) as times has, got {values.shape}")
+                raise InvalidProblem(
+                    f"{name}: expected ({len(times)}, columns) as times has, got {values.shape}"
+                )
         even = np.linspace(0.0, times[-1], len(times))
         columns = lambda v: np.stack([np.interp(even, times, c) for c in v.T], axis=1)  # noqa: E731
         dilation = np.full(len(times), times[-1])
@@ -162,3 +259,24 @@ class Trajectory(eqx.Module):
                 raise ValueError(f"{file}: field {name!r} has {array.shape[0]} nodes, but 'time' has {nodes}")
         time, state, control, dilation = (jnp.asarray(arrays[name]) for name in names)
         return Trajectory(time, state, control, dilation, hold)
+
+
+def _check_inside(times: np.ndarray, nodes: np.ndarray) -> None:
+    """Raise for a time that is not between the first node and the last."""
+    rounding = ROUNDING * (nodes[-1] - nodes[0])
+    outside = np.ravel(times)[~((times >= nodes[0] - rounding) & (times <= nodes[-1] + rounding)).ravel()]
+    if outside.size and np.isfinite(nodes).all():
+        raise ValueError(
+            f"times: {outside[0]:g} s is outside the trajectory, from {nodes[0]:g} s to {nodes[-1]:g} s"
+        )
+
+
+def _numbers(values: Any, name: str) -> np.ndarray:
+    """An array of finite numbers."""
+    try:
+        found = np.asarray(values, float)
+    except (TypeError, ValueError) as error:
+        raise InvalidProblem(f"{name}: expected rows of numbers of one length: {error}") from error
+    if not np.isfinite(found).all():
+        raise InvalidProblem(f"{name}: holds a value that is NaN or infinite")
+    return found

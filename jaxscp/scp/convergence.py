@@ -3,7 +3,7 @@
 import equinox as eqx
 import jax.numpy as jnp
 
-from jaxscp.core.status import Status, usable
+from jaxscp.core.status import Status, after_failed_subproblem, usable
 from jaxscp.core.types import Scalar
 from jaxscp.problem.node_values import node_times
 from jaxscp.problem.scaled_time import ScaledTimeProblem
@@ -41,7 +41,8 @@ def check_convergence(
     status = Status.where(constraints_feasible, Status.iteration_limit, Status.constraints_unmet)
     status = Status.where(dynamics_feasible, status, Status.dynamics_unmet)
     status = Status.where(stuck & feasible, Status.insufficient_progress, status)
-    status = Status.where(stuck & ~usable(qp.conic.status), qp.conic.status, status)
+    ended = after_failed_subproblem(qp.conic.status)
+    status = Status.where(stuck & ~usable(qp.conic.status), ended, status)
     row = History(
         cost=now.cost,
         objective=qp.conic.objective,

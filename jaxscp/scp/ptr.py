@@ -13,7 +13,7 @@ from jaxscp.backends.serving import Backends
 from jaxscp.conic.interior_point import InteriorPoint
 from jaxscp.conic.program import ConicMultipliers, ConicSolver, WarmStart, served_by
 from jaxscp.core import batching
-from jaxscp.core.status import Status, StatusCode, usable
+from jaxscp.core.status import Status, StatusCode, after_failed_subproblem, usable
 from jaxscp.core.types import Count, Flag, Scalar
 from jaxscp.nlp.sensitivity import without_derivative
 from jaxscp.problem.form import Form, Paper
@@ -150,7 +150,7 @@ class PTR(eqx.Module):
             flow=flow,
             cost=cost(z),
             iterations=state.iterations + 1,
-            status=Status.where(good, status, solution.status),
+            status=Status.where(good, status, after_failed_subproblem(solution.status)),
             done=~good | (small_step & (dynamics_feasible | _stagnates(virtual_control, state))),
             history=state.history.with_row(state.iterations, row),
             multipliers=solution.multipliers,

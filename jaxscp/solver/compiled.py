@@ -84,7 +84,8 @@ class CompiledSolver:
         if unknown := sorted(set(numbers) - set(expected)):
             raise TypeError(f"problem: {unknown[0]!r} is unknown to the solver")
         ordered = {name: jnp.asarray(numbers[name], part["dtype"]) for name, part in expected.items()}
-        path = jax.tree.map(lambda v: jnp.asarray(v, float), Trajectory(*jax.tree.leaves(path)))
+        nodes = (jnp.asarray(v, float) for v in (path.time, path.state, path.control, path.dilation))
+        path = Trajectory(*nodes)  # pyright: ignore[reportArgumentType]: four, which it cannot count
         one = (ordered, path) if self.batch_size is None else one_element((ordered, path), self.batch_size)
         expected_shapes = {"entries": self.signature["entries"]}
         differs = difference(expected_shapes, spec_of({"problem": one[0], "guess": one[1]}))

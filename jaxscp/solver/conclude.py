@@ -62,7 +62,7 @@ def conclude(
     failed = (result.status == Status.converged) & ~certificate.passed(method.holds_between_nodes)
     return Solution(
         status=Status.where(failed, Status.verification_failed, result.status),
-        trajectory=trajectory,
+        trajectory=trajectory.with_dynamics(asked.dynamics),
         cost=result.cost * _sizes(problem, reported)[0],
         final_time=trajectory.time[-1],
         iterations=result.iterations,

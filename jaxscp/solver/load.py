@@ -43,10 +43,11 @@ def load_planner(file: str | os.PathLike, *, compile: bool = True) -> "CompiledP
 def _solution_classes() -> Iterable[type]:
     """Classes of a solution's pytree."""
     from jaxscp.backends.serving import Backends
+    from jaxscp.dynamics.augmented import DYNAMICS
     from jaxscp.problem.multipliers import Multipliers
     from jaxscp.problem.trajectory import Trajectory
     from jaxscp.scp.history import History
     from jaxscp.solver.solution import Solution
     from jaxscp.verification.certificate import Certificate
 
-    return Solution, Trajectory, Multipliers, Certificate, History, Backends
+    return Solution, Trajectory, Multipliers, Certificate, History, Backends, *DYNAMICS

@@ -16,11 +16,13 @@ import jax.numpy as jnp
 from jax.core import Tracer
 
 from jaxscp.aot import aot, export, planner_cache
-from jaxscp.backends.xla import jit_with_options
+from jaxscp.backends.xla import any_rank, jit_with_options
+from jaxscp.core.arrays import as_floats
 from jaxscp.core.implicit import undefined_unless
 from jaxscp.core.status import Status
 from jaxscp.core.types import Flag
 from jaxscp.problem.canonical import canonical
+from jaxscp.problem.errors import InvalidScenario
 from jaxscp.problem.lowering import over_scaled_time
 from jaxscp.problem.problem import OptimalControlProblem
 from jaxscp.problem.scaled_time import ScaledTimeProblem
@@ -45,38 +47,50 @@ class Pipeline(eqx.Module):
     method: Method
     samples: int
 
+    @any_rank
     def __call__(self, scenario: Scenario) -> Solution:
         """The solution of a scenario."""
+        scenario = _with_arrays(scenario)
         self.check(scenario)
         inputs = scenario.solver_inputs()
         if (compiled := planner_cache.cached(self._maker(), inputs)) is not None:
             return compiled.run(inputs)
         return _conclude(self, *_solve(self, *_setup(self, inputs)))
 
-    def again(self, solution: Solution, scenario: Scenario) -> Solution:
-        """The solution of a changed scenario, from the solution of a similar one."""
+    @any_rank
+    def again(self, solution: Solution | Trajectory, scenario: Scenario) -> Solution:
+        """The solution of a changed scenario, from the solution of a similar one, or from its trajectory."""
+        scenario = _with_arrays(scenario)
         self.check(scenario)
         inputs = scenario.solver_inputs()
-        begun = _setup_again(self, inputs, solution.context, solution.trajectory)
+        known = solution if isinstance(solution, Solution) else None
+        plan: Any = solution if known is None else known.trajectory
+        self._check_plan(plan)
+        plan = plan.with_dynamics(None)  # a plan with dynamics would compile another program
+        begun = _setup_again(self, inputs, None if known is None else known.context, plan)
         if (compiled := planner_cache.cached(self._maker(), inputs, begun)) is not None:
             return compiled.run_from(begun)
         return _conclude(self, *_solve(self, *begun))
 
+    @any_rank
     def compile(self, scenario: Scenario, batch_size: int | None = None) -> aot.CompiledPlanner:
         """The programs, compiled for scenarios like this one."""
         return aot.compiled(self.trace(scenario, batch_size))
 
+    @any_rank
     def export(self, file: str | os.PathLike, traced: aot.TracedPlanner) -> None:
         """Compile traced programs and write them to a file."""
         if not (folder := pathlib.Path(file).absolute().parent).is_dir():
             raise FileNotFoundError(f"{folder}: no such folder to write {os.fspath(file)} in")
         export.write(file, traced, export.programs_of(traced))
 
+    @any_rank
     def trace(self, scenario: Scenario, batch_size: int | None = None) -> aot.TracedPlanner:
         """The programs for scenarios like this one, traced."""
+        _check_class(scenario)
         # Not as parts of another program: XLA then compiles them exactly as it does for a plain call.
         parts = [functools.partial(part.function, self) for part in (_setup, _solve, _conclude)]
-        return aot.trace(parts, scenario, self.nodes, batch_size)
+        return aot.trace(parts, _with_arrays(scenario), self.nodes, batch_size)
 
     def setup(self, scenario: Scenario) -> tuple[ScaledTimeProblem, Any, Any]:
         """Problem over scaled time, first node variables and context: the inputs of the iterations."""
@@ -93,9 +107,24 @@ class Pipeline(eqx.Module):
         return Reported(over_scaled_time(canonical(asked), self.method.form), units)
 
     def check(self, scenario: Scenario) -> None:
-        """Check a scenario whose values are known."""
-        if not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(scenario)):
-            scenario.check(self.nodes)
+        """Check a scenario: its parts and shapes, and its values where all are known."""
+        _check_class(scenario)
+        if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(scenario)):
+            shape_of = lambda v: jax.ShapeDtypeStruct(v.shape, v.dtype) if hasattr(v, "dtype") else v  # noqa: E731
+            scenario = jax.tree.map(shape_of, scenario)
+        scenario.check(self.nodes)
+
+    def _check_plan(self, plan: Any) -> None:
+        """Check the trajectory of a re-plan, before anything is compiled."""
+        if not isinstance(plan, Trajectory):
+            raise InvalidScenario(f"solution: expected a Solution or a Trajectory, got {_class_of(plan)}.")
+        if (axes := plan.state.ndim) != 2:
+            raise InvalidScenario(f"solution: expected one plan, got {axes - 2} leading axes; use jax.vmap.")
+        if plan.state.shape[0] != self.nodes:
+            raise InvalidScenario(
+                f"solution: its trajectory has {plan.state.shape[0]} nodes, but the planner has {self.nodes}. "
+                f"Plan with Planner(nodes={self.nodes}), or take trajectory.resampled({self.nodes})."
+            )
 
     def _maker(self) -> planner_cache.Maker:
         return planner_cache.Maker(self, self.trace, load_planner)
@@ -105,6 +134,18 @@ def _on_nodes(pipeline: Pipeline, asked: OptimalControlProblem, guess: Trajector
     """The problem over scaled time, and the guess as its node variables."""
     problem = over_scaled_time(canonical(asked), pipeline.method.form, guess)
     return problem, problem.join(guess.state, guess.control, guess.dilation)
+
+
+def _check_class(scenario: Any) -> None:
+    if isinstance(scenario, type) or not isinstance(scenario, Scenario):
+        raise InvalidScenario(
+            f"scenario: expected one, got {_class_of(scenario)}. jaxscp.scenarios.through(corridor, start, goal) makes "
+            "one."
+        )
+
+
+def _class_of(value: Any) -> str:
+    return "None" if value is None else f"a value of class {type(value).__name__}"
 
 
 @functools.partial(jit_with_options, static_argnums=0)
@@ -118,7 +159,7 @@ def _setup(pipeline: Pipeline, scenario: Scenario):
 def _setup_again(pipeline: Pipeline, scenario: Scenario, context: Any, plan: Trajectory):
     own, units = scenario.in_solver_units(pipeline.method.form)
     guess = own.warm_guess(plan if units is None else units.own_trajectory(plan))
-    asked, _ = own.problem(pipeline.nodes, pipeline.method.form, context)
+    asked, context = own.problem(pipeline.nodes, pipeline.method.form, context)
     about = pipeline.reported(scenario, context), context
     return _strongly_typed((scenario.valid(), *_on_nodes(pipeline, asked, guess), about))
 
@@ -135,6 +176,11 @@ def _conclude(
     reported, context = about
     solution = conclude(pipeline.method, pipeline.samples, problem, result, context, reported)
     return _undefined_unless(ok, solution)
+
+
+def _with_arrays(scenario: Scenario) -> Scenario:
+    """A scenario whose numbers of Python and NumPy, set by ``eqx.tree_at`` say, are arrays."""
+    return jax.tree.map(as_floats, scenario)
 
 
 def _strongly_typed(values):

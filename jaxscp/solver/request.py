@@ -11,6 +11,8 @@ from jaxscp.problem.canonical import as_array, canonical
 from jaxscp.problem.check import check_shapes, check_values, rules
 from jaxscp.problem.errors import InvalidProblem
 from jaxscp.problem.form import Form
+from jaxscp.problem.lowering import dilation_limits
+from jaxscp.problem.node_values import node_times
 from jaxscp.problem.problem import OptimalControlProblem
 from jaxscp.problem.trajectory import Trajectory
 from jaxscp.solver.solution import Solution
@@ -45,12 +47,22 @@ class Request(eqx.Module):
         return self.asked, None
 
     def guess(self, problem: OptimalControlProblem, context: Any) -> Trajectory:
-        """The guess."""
-        return self.start
+        """The guess, with a time that the problem allows."""
+        return _in_time(self.asked, self.start)
 
     def warm_guess(self, plan: Trajectory) -> Trajectory:
-        """The plan as it is."""
-        return plan
+        """The plan, with a time that the problem allows."""
+        return _in_time(self.asked, plan)
+
+
+def _in_time(problem: OptimalControlProblem, guess: Trajectory) -> Trajectory:
+    """A guess with its dilation within the limits: one for a longer time costs less than all that is allowed.
+
+    No step from there would lower the merit.
+    """
+    dilation = jnp.clip(guess.dilation, *dilation_limits(problem))
+    time = jnp.where(jnp.any(dilation != guess.dilation), node_times(dilation), guess.time)
+    return eqx.tree_at(lambda g: (g.time, g.dilation), guess, (time, dilation))
 
 
 def request(problem: OptimalControlProblem, guess: Any) -> Request:

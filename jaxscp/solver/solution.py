@@ -1,5 +1,6 @@
 """The solution of a problem. A planner from a file needs this module and its imports, and no solver."""
 
+import os
 from typing import Any
 
 import equinox as eqx
@@ -9,8 +10,10 @@ from jaxtyping import Array, Float
 
 from jaxscp.backends.serving import Backends
 from jaxscp.backends.xla import is_traced
+from jaxscp.core import pytree_file
 from jaxscp.core.status import Status, StatusCode, status_names
 from jaxscp.core.types import Count, Flag, Scalar
+from jaxscp.dynamics.augmented import DYNAMICS, can_be_stored
 from jaxscp.problem.multipliers import Multipliers
 from jaxscp.problem.trajectory import Trajectory
 from jaxscp.scp.history import History
@@ -48,6 +51,51 @@ class Solution(eqx.Module):
     context: Any
     """Data that the scenario built its problem with; for a landing, the polytope of every interval."""
 
+    def save(self, file: str | os.PathLike, scenario: Any = None) -> None:
+        """Write all of the solution to an .npz, and its scenario, for ``Solution.load``. No code is stored.
+
+        Functions of yours cannot be stored: the problem of ``jaxscp.solve`` is not in the file, and dynamics of yours
+        are left out of the trajectory.
+
+        Args:
+            file: to write.
+            scenario: a ``LandingScenario``, say; ``LandingScenario.load`` reads it from the same file.
+
+        Raises:
+            TypeError: if the scenario or the context holds something else than arrays, numbers and texts.
+            OSError: if the file cannot be written.
+
+        Example:
+            >>> import jaxscp, pathlib, tempfile
+            >>> scenario = jaxscp.scenarios.ascent_to_platform()
+            >>> solution = jaxscp.Planner(nodes=10, method=jaxscp.PTR(max_iterations=1))(scenario)
+            >>> file = pathlib.Path(tempfile.mkdtemp()) / "plan.npz"
+            >>> solution.save(file, scenario)
+            >>> again, asked = jaxscp.Solution.load(file), jaxscp.LandingScenario.load(file)
+            >>> bool(again.cost == solution.cost), asked.corridor.count
+            (True, 3)
+        """
+        solution = self
+        if not can_be_stored(self.trajectory.dynamics):
+            bare = self.trajectory.with_dynamics(None)
+            solution = eqx.tree_at(lambda s: s.trajectory, self, bare, is_leaf=lambda v: v is None)
+        parts = {"solution": solution}
+        pytree_file.write(file, parts if scenario is None else parts | {"scenario": scenario})
+
+    @staticmethod
+    def load(file: str | os.PathLike) -> "Solution":
+        """The solution that ``save`` wrote, bitwise.
+
+        Raises:
+            ValueError: if the file is damaged, of a newer format, or holds no solution; the message names the field.
+            OSError: if the file cannot be read.
+        """
+        classes = Solution, Trajectory, Multipliers, Certificate, History, Backends, *DYNAMICS
+        found = pytree_file.read(file, "solution", classes)
+        if not isinstance(found, Solution):
+            raise ValueError(f"{file}: holds no solution; Solution.save writes one")
+        return found
+
     def iteration_table(self) -> str:
         """One line an iteration, then one for the interior point that found the optimum.
 
@@ -76,6 +124,24 @@ class Solution(eqx.Module):
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         return "\n".join("  ".join(c.rjust(w) for c, w in zip(row, widths, strict=True)) for row in rows)
 
+    def cause(self) -> str:
+        """What holds a plan up that did not converge: the worst row of its certificate, and the largest multiplier.
+
+        Empty for a converged plan, and for one without numbers. For one solution, not a batch.
+        """
+        if bool(self.status == Status.converged) or not np.isfinite(float(self.cost)):
+            return ""
+        row, found = self.certificate.largest_row(), []
+        if row:
+            found.append(f"largest violation: {row}")
+        if self.multipliers is not None:
+            # The last multipliers are of the dilation's limits.
+            names = (*self.certificate.names[: len(self.multipliers.values) - 1], "limits of the final time")
+            sizes = [float(np.max(np.abs(y), initial=0.0)) for y in self.multipliers.values]
+            if len(names) == len(sizes) and max(sizes) > 0.0:
+                found.append(f"largest multiplier: {names[int(np.argmax(sizes))]}")
+        return "; ".join(found)
+
     def report(self) -> str:
         """Status, its likely cause, cost, times, backends and certificate; of a batch, the counts of each status."""
         names = status_names(self.status)
@@ -83,6 +149,7 @@ class Solution(eqx.Module):
             lines = [
                 f"{names}: cost {float(self.cost):.6g}, final time {float(self.final_time):.6g}",
                 Status[self.status],
+                *([cause] if (cause := self.cause()) else []),
                 f"{int(self.iterations)} iterations, {int(self.interior_point_iterations)} steps of the interior point",
                 self.backends.report(),
                 self.certificate.report(),
@@ -93,7 +160,9 @@ class Solution(eqx.Module):
             f"{count} {name}: {Status[getattr(Status, name)]}"
             for name, count in zip(found, counts, strict=True)
         ]
-        return "\n".join([f"{names.size} solutions", *lines, self.backends.report()])
+        return "\n".join(
+            [f"{names.size} solutions", *lines, self.backends.report(), self.certificate.report()]
+        )
 
     def __str__(self) -> str:
         return repr(self) if is_traced(self) or not _is_filled(self) else self.report()

@@ -8,12 +8,18 @@ Every row has the name and the unit that the problem gives it.
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+import numpy as np
+from jaxtyping import Array, Bool, Float
 
-from jaxscp.core.types import Flag, Scalar
+from jaxscp.core.types import Scalar
+from jaxscp.problem.canonical import canonical
+from jaxscp.problem.form import Continuous
+from jaxscp.problem.lowering import over_scaled_time
+from jaxscp.problem.problem import OptimalControlProblem
 from jaxscp.problem.scaled_time import PathConstraint, ScaledTimeProblem
 from jaxscp.problem.sizes import end_tolerances
 from jaxscp.problem.trajectory import Trajectory
+from jaxscp.verification.report import report
 from jaxscp.verification.rollout import Rollout, rollout
 
 OPTIMALITY_TOLERANCE = 0.3  # KKT residual; converged solutions have about 0.01
@@ -61,36 +67,34 @@ class Certificate(eqx.Module):
             raise KeyError(f"no row {name!r}; there are {', '.join(self.end_names) or 'none'}")
         return self.end_errors[..., self.end_names.index(name)]
 
-    def passed(self, between_nodes: bool = True) -> Flag:
-        """Whether the solution is good enough: ends, constraints and optimality within their tolerances.
+    def passed(self, between_nodes: bool = True) -> Bool[Array, "*batch"]:
+        """Whether each solution is good enough: ends, constraints and optimality within their tolerances.
 
         Args:
             between_nodes: whether constraints count; a method that enforces them only at nodes claims less.
         """
-        good = jnp.all(self.end_errors <= self.end_tolerances)
+        good = jnp.all(self.end_errors <= self.end_tolerances, axis=-1)
         if self.optimality is not None:
             good &= self.optimality <= OPTIMALITY_TOLERANCE
-        return good & jnp.all(self.between_nodes <= self.allowed) if between_nodes else good
+        return good & jnp.all(self.between_nodes <= self.allowed, axis=-1) if between_nodes else good
+
+    def largest_row(self) -> str:
+        """The row that is furthest beyond its tolerance, in words; empty if none is. For one solution, not a batch."""
+        names = (*self.end_names, *self.names)
+        values = np.concatenate([self.end_errors, self.between_nodes])
+        ratios = np.nan_to_num(values / np.concatenate([self.end_tolerances, self.allowed]), posinf=np.inf)
+        if not (ratios > 1.0).any():
+            return ""
+        row = int(np.argmax(ratios))
+        return f"{names[row]}, off by {values[row]:.3g}, which is {ratios[row]:.3g} times its tolerance"
 
     def report(self) -> str:
-        """A short text for people; for one solution, not a batch."""
-        width = max(map(len, (*self.names, *self.end_names)), default=0)
-        lines = [
-            f"{name:<{width}}  off by {float(error):.3g} {unit}".rstrip()
-            for name, unit, error in zip(self.end_names, self.end_units, self.end_errors, strict=True)
-        ]
-        for name, nodes, between in zip(self.names, self.at_nodes, self.between_nodes, strict=True):
-            lines.append(
-                f"{name:<{width}}  violated by {float(nodes):.3g} at nodes, {float(between):.3g} between"
-            )
-        lines.append(f"largest defect {float(self.defect):.3g}")
-        if self.optimality is not None:
-            lines.append(f"KKT residual {float(self.optimality):.3g}, relative to the cost")
-        return "\n".join(lines)
+        """A short text for people; of a batch, a row has the worst element's value and its index."""
+        return report(self)
 
 
 def certify(
-    problem: ScaledTimeProblem,
+    problem: OptimalControlProblem | ScaledTimeProblem,
     trajectory: Trajectory,
     samples: int = 200,
     optimality: Scalar | None = None,
@@ -98,11 +102,29 @@ def certify(
     """Certificate of a trajectory for its problem.
 
     Args:
-        problem: that was solved.
+        problem: that was solved; typical sizes of a problem with a scale are measured on the trajectory.
         trajectory: the solution; only its controls, its dilation and its first state are used.
         samples: points an interval at which constraints are evaluated, two at least.
         optimality: KKT residual, if the method claims an optimum.
+
+    Example:
+        >>> import jaxscp
+        >>> scenario = jaxscp.scenarios.ascent_to_platform()
+        >>> solution = jaxscp.Planner(nodes=10, method=jaxscp.PTR(max_iterations=1))(scenario)
+        >>> problem, _ = scenario.problem(10, context=solution.context)
+        >>> jaxscp.certify(problem, solution.trajectory, samples=20).names
+        ('corridor', 'thrust', 'landing cone')
     """
+    if isinstance(problem, OptimalControlProblem):
+        plan = trajectory.with_dynamics(None)
+        stated = over_scaled_time(canonical(problem), Continuous(), plan)
+        return _compiled(stated, plan, samples, optimality)
+    return _certificate(problem, trajectory, samples, optimality)
+
+
+def _certificate(
+    problem: ScaledTimeProblem, trajectory: Trajectory, samples: int, optimality: Scalar | None
+) -> Certificate:
     integrated = rollout(problem, trajectory, samples)
     defect = jnp.max(jnp.linalg.norm(integrated.state[:, -1] - trajectory.state[1:], axis=-1))
     ends = _end_rows(problem, trajectory, integrated)
@@ -121,6 +143,9 @@ def certify(
         end_units=tuple(unit for _, unit, *_ in ends),
     )
     return jax.tree.map(lambda v: jnp.where(jnp.isnan(v), jnp.inf, v), certificate)
+
+
+_compiled = eqx.filter_jit(_certificate)
 
 
 def _stacked(values: list) -> Float[Array, "rows"]:

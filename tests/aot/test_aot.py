@@ -100,7 +100,6 @@ def test_a_fresh_process_loads_and_plans_without_tracing(file, answer, tmp_path)
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_a_fresh_process_finds_the_lapack_that_a_planner_calls(scenario, tmp_path):
     in_jax = dataclasses.replace(
         PLANNER, method=jaxscp.PTR(max_iterations=2, conic=InteriorPoint(compiled=False))
@@ -200,7 +199,7 @@ def test_a_folder_that_is_not_there_is_no_place_for_a_file(scenario, tmp_path):
 
 def test_what_is_described_can_be_built_again(answer):
     description = json.loads(json.dumps(spec_of(answer.trajectory)))
-    again = zeros_of(description, [jaxscp.Trajectory])
+    again = zeros_of(description, [jaxscp.Trajectory, jaxscp.RigidBody])
     assert difference(description, spec_of(again)) is None
     with pytest.raises(KeyError):
         zeros_of(description, [])
@@ -231,7 +230,7 @@ def test_a_batch_is_that_of_vmap(scenario):
         compiled(scenario)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_default_mode_comes_back_the_same(scenario, tmp_path):
     planner = jaxscp.Planner(nodes=10)
     planner.export(tmp_path / "planner.jaxscp", scenario)

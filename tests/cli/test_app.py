@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+import jaxscp
 from jaxscp import Status, Trajectory
+from jaxscp.backends import libraries
 from jaxscp.cli import app as cli
-from jaxscp.cli import report
+from jaxscp.cli import report, requests
 
 # N, 1e-5 of the range: limits hold to the conic solver's accuracy, which differs by processor.
 THRUST = 5e-5
@@ -33,7 +35,8 @@ def invoke(*arguments):
 def answer(tmp_path_factory):
     """One run of the command with all outputs."""
     folder = tmp_path_factory.mktemp("plan")
-    result = invoke(*RUN, "--json", "--save", folder / "plan.npz", "--plot", folder / "plan.png")
+    files = "--save", folder / "plan.npz", "--csv", folder / "plan.csv", "--plot", folder / "plan.png"
+    result = invoke(*RUN, "--json", *files)
     return result, folder
 
 
@@ -74,7 +77,9 @@ def test_json_numbers_are_finite(facts):
             yield value
 
     assert facts["optimality"] is None  # the paper's mode claims no optimum
-    values = list(numbers({name: value for name, value in facts.items() if name != "optimality"}))
+    values = list(
+        numbers({name: value for name, value in facts.items() if name not in ("optimality", "info")})
+    )
     assert len(values) > 10
     assert all(isinstance(v, int | float) and math.isfinite(v) for v in values)
 
@@ -95,6 +100,16 @@ def test_saved_trajectory_is_the_plan_in_si_units(answer, facts):
     assert float(path.time[-1]) == pytest.approx(facts["final_time"])
     np.testing.assert_allclose(path.state[0], scenario.start.vector(), atol=1e-6)
     np.testing.assert_allclose(path.state[-1, :3], scenario.goal.position, atol=1e-3)
+
+
+def test_table_is_the_flight(answer, facts):
+    with (answer[1] / "plan.csv").open() as file:
+        names = file.readline().strip().split(",")
+    rows = np.loadtxt(answer[1] / "plan.csv", delimiter=",", skiprows=1)
+    assert names[:2] == ["time [s]", "x [m]"]
+    assert rows.shape[1] == len(names)
+    np.testing.assert_allclose(np.diff(rows[:, 0]), 1.0 / requests.RATE, rtol=1e-9)
+    assert 0.0 == rows[0, 0] <= rows[-1, 0] <= facts["final_time"] < rows[-1, 0] + 1.0 / requests.RATE
 
 
 def test_picture_is_a_png(answer):
@@ -197,6 +212,9 @@ def never_compiles(monkeypatch):
         (["plan", "ascend", "--nodes", "1"], "greater than or equal to 2"),
         (["plan", "ascend", "--nodes", "many"], "'--nodes'"),
         (["plan", "platform", "--nodes", "4"], "5 polytopes need at least 6 nodes"),
+        (["plan", "platform", "--mass", "40"], "the rotors cannot carry the weight"),
+        (["plan", "platform", "--mass", "-1"], "must be positive"),
+        (["plan", "platform", "--speed", "nan"], "needs finite numbers"),
         (["plan", "ascend", "--save", "no/such/folder/plan.npz"], "No such file or directory"),
         (["plan", "ascend", "--save", "."], "cannot write ."),
         (["plan", "ascend", "--plot", "no/such/folder/plan.png"], "No such file or directory"),
@@ -221,6 +239,27 @@ def test_checking_a_file_leaves_none_behind_and_harms_none(tmp_path):
     assert kept.read_bytes() == b"precious"
 
 
+def test_installation_is_described():
+    facts = json.loads(invoke("info", "--json").stdout)
+    assert facts["version"] == jaxscp.__version__
+    assert facts["jax"] == jax.__version__
+    assert len(facts["devices"]) == len(jax.devices())
+    assert set(facts["libraries"]) == {library.stem.name for library in libraries.EVERY}
+    for library in facts["libraries"].values():
+        assert library["serves"] or library["reason"]
+    assert jaxscp.__version__ in invoke("info").stdout
+    assert invoke("--version").stdout == f"jaxscp {jaxscp.__version__}\n"
+
+
+def test_mass_speed_and_time_weight_change_the_scenario():
+    request = requests.PlanRequest(mass=1.1, speed=3.0, time_weight=5.0)
+    changed = request.changed(cli.CASES["ascend"]())
+    changed.check(NODES)
+    assert float(changed.airframe.body.mass) == 1.1
+    assert float(changed.limits.speed) == 3.0
+    assert float(changed.weights.time) == 5.0
+
+
 def test_runs_as_a_module():
     command = [sys.executable, "-m", "jaxscp", "plan", "--help"]
     result = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -242,7 +281,7 @@ def test_every_mode_plans_every_case(case, mode):
 
 def test_a_cache_is_used_only_where_one_is_named(monkeypatch, tmp_path):
     folders = []
-    monkeypatch.setattr(cli, "use_cache", folders.append)
+    monkeypatch.setattr(requests, "use_cache", folders.append)
     too_few = ("plan", "ascend", "--nodes", 3)  # ends before any compilation
     assert invoke(*too_few).exit_code == 2
     assert folders == []

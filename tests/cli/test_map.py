@@ -232,7 +232,8 @@ def test_messages_name_options_that_the_command_line_has():
     assert not [(place, name) for place, name in found if name not in known]
     # ``map`` reads files as ``plan`` does
     assert known - options_of(commands["map"]) <= {
-        *("--crop", "--clearance", "--mode", "--nodes", "--cloud", "--save", "--plot", "--cache")
+        *("--crop", "--clearance", "--mode", "--nodes", "--cloud", "--save", "--csv", "--plot", "--cache"),
+        *("--mass", "--speed", "--time-weight"),
     }
 
 

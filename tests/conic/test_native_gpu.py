@@ -42,7 +42,7 @@ SHAPES = {
     "variables outnumber entries": {"nodes": 3, "variables": 18, "rows": 2, "coupled": 2, "norm": False},
     "too many coupled": {"nodes": 3, "variables": 6, "rows": 3, "cones": 1, "coupled": 4},
 }
-ALWAYS = ("norm cost",)
+TIERS = {"norm cost": [], "a chain too long for shared memory": [pytest.mark.nightly]}  # the others are slow
 
 
 def emulated(program, folder: Path) -> ctypes.CDLL:
@@ -68,7 +68,7 @@ def emulated(program, folder: Path) -> ctypes.CDLL:
 @pytest.fixture(
     scope="module",
     params=[
-        pytest.param(sizes, id=name, marks=[] if name in ALWAYS else [pytest.mark.slow])
+        pytest.param(sizes, id=name, marks=TIERS.get(name, [pytest.mark.slow]))
         for name, sizes in SHAPES.items()
     ],
 )
@@ -122,7 +122,9 @@ def iterate(solver, programs, warm_start=None):
 
 
 @needs_compiler
-@pytest.mark.parametrize("warm", [False, True], ids=["cold start", "warm start"])
+@pytest.mark.parametrize(
+    "warm", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["cold start", "warm start"]
+)
 def test_steps_are_the_same_and_batch_elements_independent(kernel, monkeypatch, warm):
     programs, name = kernel
     poisoned = eqx.tree_at(lambda p: p.gradient, programs[1], programs[1].gradient * jnp.nan)
@@ -148,7 +150,7 @@ def test_steps_are_the_same_and_batch_elements_independent(kernel, monkeypatch, 
             np.testing.assert_allclose(ours[element], theirs[element], rtol=0, atol=ROUNDING * size)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.skipif(gpu.compiler() is None, reason="needs NVIDIA's run-time compiler (extra cuda)")
 @pytest.mark.parametrize("capability", ["80", "90"])
 def test_kernel_compiles(capability):

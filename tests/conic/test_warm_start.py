@@ -60,7 +60,9 @@ def test_a_good_warm_start_saves_steps(solvers, seed):
     np.testing.assert_allclose(found.objective, expected.objective, rtol=SAME_COST)
 
 
-@pytest.mark.parametrize("defect", ["far", "NaN", "wrong signs", "zeros"])
+@pytest.mark.parametrize(
+    "defect", ["far", "NaN", *(pytest.param(d, marks=pytest.mark.nightly) for d in ("wrong signs", "zeros"))]
+)
 @pytest.mark.parametrize("kind", ["feasible", "infeasible", "unbounded"])
 def test_a_useless_warm_start_does_no_harm(solvers, kind, defect):
     cold, warm = solvers

@@ -178,3 +178,16 @@ def test_chunks_have_the_results_of_the_whole_batch(shape):
     jax.tree.map(
         np.testing.assert_array_equal, batching.in_chunks(act, (alone, shared)), act((alone, shared))
     )
+
+
+def test_a_batch_of_no_elements():
+    """Alone, in chunks, and inside another batch."""
+
+    def halvings(v):
+        return batching.while_loop(lambda s: s > 1.0, lambda _, s: 0.5 * s, (), v)
+
+    assert jax.vmap(halvings)(jnp.zeros(0)).shape == (0,)
+    assert jax.vmap(lambda v: batching.in_chunks(jnp.sum, v))(jnp.zeros((0, 4))).shape == (0,)
+    assert jax.vmap(jax.vmap(halvings))(jnp.zeros((0, 3))).shape == (0, 3)
+    assert jax.vmap(jax.vmap(halvings))(jnp.zeros((3, 0))).shape == (3, 0)
+    assert jax.vmap(jax.vmap(halvings))(jnp.full((2, 3), 5.0)).tolist() == [[0.625] * 3] * 2

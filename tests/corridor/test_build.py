@@ -53,7 +53,7 @@ def check(result, cloud):
 
 
 @pytest.mark.parametrize("kind", synthetic_maps.KINDS)
-@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3))])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 3))])
 def test_random_maps_give_safe_connected_corridors(kind, seed):
     place = synthetic_maps.KINDS[kind](seed)
     method = METHODS[seed % 2]

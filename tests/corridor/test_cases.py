@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxscp.corridor import CloudFileError, MapError, build_corridor, read_cloud
+from jaxscp.corridor import CloudFileError, MapError, PointCloud, build_corridor, read_cloud
 
 from .conftest import GOAL, START, depth_in_solid
 
@@ -57,6 +57,23 @@ def test_the_message_names_the_file_and_the_cause(case, name, error, message):
         pytest.importorskip("pypcd4", reason="needs the extra clouds")
     with pytest.raises(error, match=f"{name}.*{message}"):
         build_corridor(read_cloud(path), START, GOAL, 0.25)
+
+
+@pytest.mark.parametrize("shift", [(0.5, -2.0, 1.0), (0.0, -1.85, 0.0)])
+def test_a_frame_that_puts_the_flight_beside_the_map_is_refused(case, shift):
+    """As where a VIEWPOINT is stated not to apply, but does: start and goal lie 0.35 m or more outside of the hall."""
+    hall = read_cloud(case("hall.xyz"))
+    moved = PointCloud(hall.points - shift, hall.spread, hall.dropped, hall.provenance)
+    with pytest.raises(MapError, match="both lie outside the map's box"):
+        build_corridor(moved, START, GOAL, 0.25)
+    assert build_corridor(hall, START, GOAL, 0.25).found
+
+
+def test_a_viewpoint_stated_wrongly_is_refused(case):
+    pytest.importorskip("pypcd4", reason="needs the extra clouds")
+    cloud = read_cloud(case("hall_viewpoint.pcd"), frame="world")
+    with pytest.raises(MapError, match=r"hall_viewpoint\.pcd: .*both lie outside .*--frame"):
+        build_corridor(cloud, START, GOAL, 0.25)
 
 
 def test_single_precision_far_from_the_origin_is_warned_of(case):

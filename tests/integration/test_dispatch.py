@@ -54,10 +54,10 @@ def test_compiled_equals_jax(rate, name, method):
 @pytest.mark.parametrize(
     ("name", "grid"),
     [
-        ("evaluate", Grid()),
+        pytest.param("evaluate", Grid(), marks=pytest.mark.slow),
         pytest.param("linearise", Grid(subintervals=3, steps=2), marks=pytest.mark.slow),
         # in JAX this takes half a minute to compile
-        pytest.param("linearise_with_hessian", Grid(), marks=pytest.mark.slow),
+        pytest.param("linearise_with_hessian", Grid(), marks=pytest.mark.nightly),
     ],
 )
 def test_compiled_equals_jax_on_a_landing_with_every_constraint(name, grid):

@@ -48,7 +48,6 @@ def test_route_is_evenly_spaced_within_each_polytope():
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_a_few_nodes_are_enough_to_land():
     """The cone's nodes must not belong to polytopes that the cone does not reach."""
     solution = Planner(nodes=12)(scenarios.ascent_to_platform())

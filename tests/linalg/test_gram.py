@@ -56,7 +56,10 @@ def assert_same(found, expected):
         np.testing.assert_allclose(u, v, rtol=0, atol=100 * ROUNDING * size)
 
 
-@pytest.mark.parametrize("implementation", [in_jax.gram, pytest.param(native.gram, marks=compiled)])
+@pytest.mark.parametrize(
+    "implementation",
+    [pytest.param(in_jax.gram, marks=pytest.mark.slow), pytest.param(native.gram, marks=compiled)],
+)
 @given(
     seed=st.integers(0, 1000),
     shapes=st.lists(st.tuples(st.integers(1, 3), st.integers(1, 4), st.booleans()), min_size=1, max_size=3),

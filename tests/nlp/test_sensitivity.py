@@ -110,7 +110,6 @@ def planned():
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_translating_the_whole_scene_changes_nothing(planned):
     floats, plan = planned
     _, *gradients, differentiable = plan(floats)
@@ -213,7 +212,6 @@ def test_gradients_are_differences_of_plans_made_again(planned, leaf, h):
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_a_lane_without_derivative_says_so_and_harms_no_other():
     """The second vehicle is too heavy for its rotors: its gradient is NaN, and zero where masked."""
     scenario = scenarios.ascent_to_platform()

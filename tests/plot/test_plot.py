@@ -5,6 +5,7 @@ import subprocess
 import sys
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -160,6 +161,44 @@ def test_summary_renders(figure, tmp_path):
     for name in ("plan.png", "plan.pdf"):
         figure.savefig(tmp_path / name)
         assert (tmp_path / name).stat().st_size > 10_000
+
+
+@pytest.fixture(scope="module")
+def from_file(scenario, solution, tmp_path_factory):
+    """Scenario and solution, saved and loaded."""
+    file = tmp_path_factory.mktemp("plan") / "plan.npz"
+    solution.save(file, scenario)
+    return jaxscp.LandingScenario.load(file), jaxscp.Solution.load(file)
+
+
+def test_a_plan_from_a_file_is_drawn_alike(scenario, solution, figure, from_file):
+    for one, other in zip(jax.tree.leaves(from_file), jax.tree.leaves((scenario, solution)), strict=True):
+        np.testing.assert_array_equal(one, other)
+    again = plot.summary(*from_file)
+    assert again.get_suptitle() == figure.get_suptitle()
+    lines, expected = (
+        [line.get_xydata() for ax in f.axes if not isinstance(ax, Axes3D) for line in ax.lines]
+        for f in (again, figure)
+    )
+    for one, other in zip(lines, expected, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_a_plan_from_a_file_is_sampled(solution, from_file):
+    samples = from_file[1].trajectory.sample(rate=20)
+    assert isinstance(samples, jaxscp.FlightSamples)
+    np.testing.assert_array_equal(samples.state, solution.trajectory.sample(rate=20).state)
+    assert float(jnp.abs(samples.acceleration).max()) > 1.0
+
+
+def test_a_plan_from_a_file_has_the_same_certificate(solution, from_file):
+    scenario, found = from_file
+    problem, _ = scenario.problem(NODES, context=found.context)
+    certificate, expected = jaxscp.certify(problem, found.trajectory), solution.certificate
+    assert (certificate.names, certificate.end_names) == (expected.names, expected.end_names)
+    for field in ("at_nodes", "between_nodes", "allowed", "end_errors", "end_tolerances", "defect"):
+        # of the same integration, compiled as another program
+        np.testing.assert_allclose(getattr(certificate, field), getattr(expected, field), rtol=0, atol=1e-9)
 
 
 def test_drawing_needs_no_obstacles(scenario, solution):

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jaxtyping
@@ -91,7 +92,7 @@ WRONG = {
     ),
     "NaN in the guess": (
         problem,
-        js.Trajectory.from_arrays([0.0, 2.0], [[0.0, 0.0], [np.nan, 0.0]], np.zeros((2, 1))),
+        eqx.tree_at(lambda g: g.state, GUESS, GUESS.state.at[1, 0].set(jnp.nan)),
         r"guess\.state: holds a value that is NaN",
     ),
     "NaN at an end": (
@@ -336,7 +337,7 @@ def test_functions_are_checked_on_request(cost, message):
         js.solve(asked, js.straight_line(asked), check=True)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_an_invalid_element_of_a_batch_is_undefined_and_disturbs_no_other():
     """NaN in every float; the others equal single calls."""
 

@@ -22,7 +22,6 @@ SAME_COST = 2e-3
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 @pytest.mark.parametrize("mission", MISSIONS)
 def test_optimal_by_ipopts_account_and_safe_between_nodes(mission):
     optimum = pytest.importorskip("benchmarks.rivals.optimum", reason="needs CasADi")
@@ -42,7 +41,6 @@ def test_optimal_by_ipopts_account_and_safe_between_nodes(mission):
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_batch_elements_end_as_they_do_alone():
     """Three vehicles; the second is too heavy for its rotors."""
     base = scenarios.ascent_to_platform()
@@ -75,7 +73,6 @@ def ascent():
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_coarse_subproblems_lead_to_an_optimum_of_the_same_cost(ascent):
     run = by_forcing(lambda method: method.run(*ascent))
     coarse, exact = run(NewtonSCP().initial_forcing), run(0.0)

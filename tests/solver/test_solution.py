@@ -3,6 +3,7 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 from jax.scipy.special import erf
 
@@ -78,3 +79,80 @@ def test_its_text_under_a_transformation_is_its_structure(solution):
     jax.eval_shape(lambda s: texts.append(str(s)) or s.cost, solution)
     assert texts[0].startswith("Solution(")
     assert str(jax.tree.map(lambda v: None, solution)).startswith("Solution(")
+
+
+# --- between the nodes, and in files ---
+
+STATE_ERROR = 1e-7  # of the optimum
+CONTROL_ERROR = 1e-5  # the cost is flat there, so that controls are known less well
+
+
+def test_its_trajectory_is_known_between_the_nodes(solution):
+    """Least energy from rest to rest: x = 3 (t / T)^2 - 2 (t / T)^3, with a control that is linear in time."""
+    samples = solution.trajectory.sample(rate=10)
+    part = np.asarray(samples.time) / 2.0
+    assert len(part) == 21
+    np.testing.assert_allclose(samples.state[:, 0], 3.0 * part**2 - 2.0 * part**3, atol=STATE_ERROR)
+    np.testing.assert_allclose(samples.state_rate[:, 1], 1.5 - 3.0 * part, atol=CONTROL_ERROR)
+    assert not isinstance(samples, js.FlightSamples)
+
+
+def assert_same(found, expected):
+    assert jax.tree.structure(found) == jax.tree.structure(expected)
+    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+        assert one.dtype == other.dtype
+        np.testing.assert_array_equal(one, other)
+
+
+def test_a_saved_solution_is_loaded_bitwise(solution, tmp_path):
+    solution.save(tmp_path / "plan")  # the name stays as it is
+    assert_same(js.Solution.load(tmp_path / "plan"), solution)
+
+
+def test_a_saved_batch_is_loaded_bitwise(solution, tmp_path):
+    batch = jax.tree.map(lambda *v: jnp.stack(v), *[solution] * 3)
+    status = jax.vmap(js.Status.where, (0, 0, None))(
+        jnp.array([True, False, True]), batch.status, js.Status.infeasible
+    )
+    batch = eqx.tree_at(lambda s: s.status, batch, status)
+    batch.save(tmp_path / "batch.npz")
+    found = js.Solution.load(tmp_path / "batch.npz")
+    assert_same(found, batch)
+    assert js.status_names(found.status).tolist() == ["converged", "infeasible", "converged"]
+
+
+def test_what_cannot_be_integrated_is_saved_too(solution, tmp_path):
+    """Infinite and undefined numbers, and a solution without multipliers."""
+    odd = eqx.tree_at(
+        lambda s: (s.cost, s.certificate.defect), solution, (jnp.array(jnp.nan), jnp.array(jnp.inf))
+    )
+    odd = eqx.tree_at(lambda s: s.multipliers, odd, None)
+    odd.save(tmp_path / "odd.npz")
+    assert_same(js.Solution.load(tmp_path / "odd.npz"), odd)
+
+
+def test_dynamics_of_the_user_are_left_out_of_a_file(solution, tmp_path):
+    own = js.Dynamics.of(lambda x, u, t, p: jnp.stack([x[1], u[0]]), 2, 1)
+    theirs = eqx.tree_at(lambda s: s.trajectory, solution, solution.trajectory.with_dynamics(own))
+    theirs.save(tmp_path / "plan.npz")
+    found = js.Solution.load(tmp_path / "plan.npz").trajectory
+    with pytest.raises(ValueError, match=r"trajectory\.with_dynamics\(problem\.dynamics\)"):
+        found.sample(rate=10)
+    again, expected = found.with_dynamics(own).sample(rate=10), solution.trajectory.sample(rate=10)
+    np.testing.assert_allclose(again.state, expected.state, rtol=0, atol=1e-12)
+
+
+def test_a_saved_solution_is_a_guess_and_is_certified(solution, tmp_path):
+    solution.save(tmp_path / "plan.npz")
+    found, problem = js.Solution.load(tmp_path / "plan.npz"), double_integrator(ENERGY, FIXED)
+    assert_same(js.solve(problem, found), js.solve(problem, solution))
+    certificate = js.certify(problem, found.trajectory)
+    assert certificate.end_names == solution.certificate.end_names
+    np.testing.assert_allclose(certificate.end_errors, solution.certificate.end_errors, rtol=0, atol=1e-12)
+    assert bool(certificate.passed())
+
+
+def test_a_context_of_another_kind_is_named(solution, tmp_path):
+    odd = eqx.tree_at(lambda s: s.context, solution, print, is_leaf=lambda v: v is None)
+    with pytest.raises(TypeError, match=r"solution\.context: a builtin_function_or_method cannot be saved"):
+        odd.save(tmp_path / "odd.npz")

@@ -69,6 +69,7 @@ def test_final_time_apart_from_the_dilation():
     np.testing.assert_allclose(solution.final_time, 1.5, rtol=EXACT)
 
 
+@pytest.mark.slow
 def test_integral_constraint():
     """The fastest motion at an energy of 1.5 takes 2 s."""
     spends = js.with_integral(js.DoubleIntegrator(1), lambda x, u, t, p: u @ u)
@@ -155,6 +156,7 @@ def test_reference_that_changes_from_node_to_node():
     np.testing.assert_allclose(solved(problem).cost, sine_cost(0.3), rtol=2e-3)
 
 
+@pytest.mark.slow
 def test_a_terminal_cost_that_is_not_affine_in_time():
     """t + 9 / t is least at 3 s."""
     problem = js.OptimalControlProblem(
@@ -191,6 +193,16 @@ def test_a_guess_off_both_ends():
     problem = double_integrator(ENERGY, js.Time(11, js.FixedTime(2.0)))
     guess = js.Trajectory.from_arrays([0.0, 1.0, 2.0], [[1.0, 1.0], [1.0, 0.0], [2.0, 0.0]], np.zeros((3, 1)))
     np.testing.assert_allclose(solved(problem, guess).cost, 1.5, rtol=EXACT)
+
+
+@pytest.mark.parametrize("duration", [1.0, 1.9, 2.1])
+def test_a_solution_is_a_guess_for_another_fixed_time(duration):
+    """Of least energy, 12 d^2 / T^3; the plan for a longer time costs less than the optimum of a shorter one."""
+    problem = lambda t: double_integrator(ENERGY, js.Time(6, js.FixedTime(t)))  # noqa: E731
+    solution = js.solve(problem(2.0), js.straight_line(problem(2.0)))
+    found = js.solve(problem(duration), solution)
+    assert js.status_names(found.status) == "converged"
+    np.testing.assert_allclose(found.cost, 12.0 / duration**3, rtol=1e-5)
 
 
 def test_a_solution_is_a_guess_for_another_number_of_nodes():

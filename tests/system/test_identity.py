@@ -75,6 +75,7 @@ def test_another_number_inside_a_function_is_another_program():
     np.testing.assert_allclose(costs, [EXACT, 2.0 * EXACT], rtol=BARRIER)
 
 
+@pytest.mark.slow
 def test_a_number_that_changes_outside_of_a_function_is_seen():
     weight = {"k": 1.0}
     scale = 1.0
@@ -122,7 +123,7 @@ def test_arrays_inside_a_jit_are_told_apart(with_folder, tmp_path):
     assert previous is None
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_derivatives_and_batches_over_a_closed_over_number():
     """The cost is k times a constant."""
 

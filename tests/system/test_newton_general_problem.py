@@ -119,6 +119,7 @@ def fastest():
     return compiled(with_limit, differentiable=False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("distance", [1.0, 4.0])
 def test_minimum_time(fastest, distance):
     """Full acceleration to the middle, full braking from there: t_f = 2 sqrt(d / a)."""
@@ -150,6 +151,7 @@ def test_minimum_energy_at_a_fixed_time_without_constraints(cheapest):
     np.testing.assert_allclose(gradient.shortest + gradient.longest, -36.0 * d**2 / T**4, rtol=BARRIER)
 
 
+@pytest.mark.slow
 @pytest.mark.slow
 def test_time_against_energy_without_constraints(cheapest):
     """t_f + w times the integral of u^2 is least at t_f^4 = 36 w d^2, and is 4/3 t_f there."""

@@ -16,15 +16,8 @@ DIFFERENCE = 1e-4  # relative: a gradient against central differences
 STEP = 1e-3  # of differences, relative to the number
 BATCH = 16
 
-# Each case compiles for ten seconds or more. Two stand for all in the short tests.
-SHORT = {"Dubins"}
-EVERY_CASE = pytest.mark.parametrize(
-    "name", [name if name in SHORT else pytest.param(name, marks=pytest.mark.slow) for name in CASES]
-)
-LONG = pytest.mark.slow, pytest.mark.nightly
-EVERY_CASE_SLOWLY = pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=LONG[: 1 if name in SHORT else 2]) for name in CASES]
-)
+# Each case compiles for ten seconds or more. The gallery stands for all in the short tests.
+EVERY_CASE = pytest.mark.parametrize("name", CASES)
 
 
 def request_of(name):
@@ -37,6 +30,7 @@ def solve_with(name, guess, number):
     return js.solve(CASES[name].problem(number), guess)
 
 
+@pytest.mark.slow
 @EVERY_CASE
 def test_optimum(name):
     """Cost of the exact optimum, and a certificate that passed."""
@@ -48,7 +42,8 @@ def test_optimum(name):
     np.testing.assert_allclose(solution.cost, case.exact(case.value), rtol=case.error)
 
 
-@EVERY_CASE_SLOWLY
+@pytest.mark.nightly
+@EVERY_CASE
 def test_batch_equals_single_calls(name):
     case, _, guess = request_of(name)
     numbers = case.value * np.linspace(0.97, 1.03, BATCH)
@@ -59,7 +54,8 @@ def test_batch_equals_single_calls(name):
     np.testing.assert_allclose(batch.final_time, [float(s.final_time) for s in singles], rtol=SAME)
 
 
-@EVERY_CASE_SLOWLY
+@pytest.mark.nightly
+@EVERY_CASE
 def test_gradient_agrees_with_differences(name):
     case, _, guess = request_of(name)
     cost = lambda v: solve_with(name, guess, v).cost  # noqa: E731
@@ -78,6 +74,10 @@ with np.load(arrays) as stored:
     numbers = {name[2:]: jnp.asarray(stored[name]) for name in stored if name[:2] == "p:"}
     guess = js.Trajectory(*(jnp.asarray(stored["g:" + part]) for part in ("time", "state", "control", "dilation")))
 solution = js.load(file)(numbers, guess)
+try:
+    solution.trajectory.at(0.0)
+except ValueError as error:  # dynamics of the user's
+    assert "trajectory.with_dynamics(problem.dynamics)" in str(error), error
 assert "tests.support.own_problems" not in sys.modules
 print(js.status_names(solution.status), repr(float(solution.cost)))
 """
@@ -92,7 +92,8 @@ def saved(path, problem, guess):
     return path
 
 
-@EVERY_CASE_SLOWLY
+@pytest.mark.nightly
+@EVERY_CASE
 def test_file_without_the_users_code(name, tmp_path):
     """Export, load in a fresh process, same answer."""
     _, problem, guess = request_of(name)

@@ -34,7 +34,6 @@ def test_plans_land_where_they_say(seed):
 
 
 @pytest.mark.nightly
-@pytest.mark.slow
 def test_coarse_subproblems_end_where_exact_ones_do():
     scenarios = random_instances(jax.random.key(2), 50)
     methods = jaxscp.PTR(), jaxscp.PTR(initial_forcing=0.0)

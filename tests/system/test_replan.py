@@ -1,6 +1,7 @@
 """Re-plans: from the solution of a similar scenario, whose ends lie off the new boundary."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -47,8 +48,19 @@ def test_a_plan_off_its_ends_returns_to_them(plan, scenario):
     assert_replans(plan, scenario)
 
 
+def test_a_plan_from_a_file_replans_alike(plan, tmp_path):
+    scenario = CHANGES["goal away by 1 m"]
+    plan.save(tmp_path / "plan.npz", scenario)
+    found = jaxscp.Solution.load(tmp_path / "plan.npz")
+    asked = jaxscp.LandingScenario.load(tmp_path / "plan.npz")
+    again, expected = PLANNER.replan(found, asked), PLANNER.replan(plan, scenario)
+    assert jaxscp.status_names(again.status) == "converged"
+    assert jax.tree.structure(again) == jax.tree.structure(expected)
+    for one, other in zip(jax.tree.leaves(again), jax.tree.leaves(expected), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
 @pytest.mark.nightly
-@pytest.mark.slow
 @pytest.mark.parametrize("case", ["platform_to_platform", "ascent_to_platform"])
 def test_random_ends_replan(case):
     """Either end moved by 1 mm to 0.3 m, and turned by 0.1 to 180 degrees, wherever a fresh plan converges."""
@@ -71,6 +83,7 @@ def test_random_ends_replan(case):
     assert tried >= 15
 
 
+@pytest.mark.slow
 def test_residuals_of_the_ends_count():
     """A trajectory whose dynamics hold, but whose start does not, is neither feasible nor free of merit."""
     from jaxscp.transcription.lagrangian import Merit, no_multipliers, residual

@@ -4,6 +4,7 @@ import dataclasses
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -27,6 +28,7 @@ def test_a_vector_splits_into_its_part_in_the_cone_and_one_in_its_polar(v):
         np.testing.assert_allclose(cone.project_dual(inside), inside, atol=ROUNDING)
 
 
+@pytest.mark.slow
 def test_merit_of_a_feasible_point_is_its_cost():
     problem = short_problem()
     z = random_nodes(problem, 0)

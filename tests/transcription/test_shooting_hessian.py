@@ -18,7 +18,7 @@ ROUNDING = 1e-10
 
 @pytest.mark.parametrize(
     "grid",
-    [Grid(), pytest.param(Grid(subintervals=3, steps=2), marks=pytest.mark.slow)],
+    [pytest.param(Grid(), marks=pytest.mark.slow), Grid(subintervals=3, steps=2)],
     ids=["default", "coarse"],
 )
 def test_it_is_what_automatic_differentiation_says(grid):

@@ -98,6 +98,7 @@ def test_a_warp_integrates_one_trajectory(tmp_path, monkeypatch):
     np.testing.assert_allclose(found, by(by_diffrax), rtol=0, atol=AGREEMENT)
 
 
+@pytest.mark.slow
 @needs_compiler
 def test_it_is_the_rollout_by_diffrax(emulated):
     """A batch with different masses."""
