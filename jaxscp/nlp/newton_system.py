@@ -25,7 +25,7 @@ from jaxscp.transcription.inequalities import (
     cones,
     inequalities,
     jacobians,
-    node_hessians,
+    last_node_hessian,
 )
 from jaxscp.transcription.layout import interval_variables, stage_sizes, sum_onto_nodes
 from jaxscp.transcription.shooting import Grid, linearise_with_hessian
@@ -65,7 +65,7 @@ def second_order_model(
         initial=linear.initial.jacobian,
         final=linear.final.jacobian,
         intervals=intervals,
-        nodes=node_hessians(problem, z, y.values) + _end_hessians(problem, z, y),
+        nodes=_end_hessians(problem, z, y).at[-1].add(last_node_hessian(problem, z, y.values)),
         values=inequalities(problem, z, linear.outputs, RELAXATION),
         jacobians=jacobians(problem, z, linear),
         residual=riccati.KKTVector(gradient, defect, linear.initial.value, linear.final.value),

@@ -59,21 +59,23 @@ def jacobians(
     return (*parts, jnp.broadcast_to(limits, (z.shape[0], 1, *limits.shape)))
 
 
-def node_hessians(
+def last_node_hessian(
     problem: ScaledTimeProblem, z: Float[Array, "nodes variables"], multipliers: Values
-) -> Float[Array, "nodes variables variables"]:
-    """Second derivatives of - y . g, of the constraints at nodes alone."""
-    total = jnp.zeros((*z.shape, z.shape[1]), z.dtype)
+) -> Float[Array, "variables variables"]:
+    """Second derivatives of - y . g at the last node, of the constraints at nodes alone.
+
+    Those at other nodes are among the second derivatives of the intervals that begin there.
+    """
+    total, last = jnp.zeros((z.shape[1], z.shape[1]), z.dtype), z.shape[0] - 1
     for constraint, y in zip(problem.constraints, multipliers[:-1], strict=True):
         if constraint.where.nodal:
-            active = constraint.active_at_locations(1)[:, :, None]
+            active = constraint.active_at_locations(1)[last, 0]
+            parameters = jax.tree.map(lambda p: p[last], constraint.node_parameters())
 
-            def product(v, p, y, c=constraint):
+            def product(v, c=constraint, p=parameters, y=y[last]):
                 return -jnp.vdot(y, _at_node(problem, c, v, p))
 
-            total += active.astype(z.dtype) * jax.vmap(jax.hessian(product))(
-                z, constraint.node_parameters(), y
-            )
+            total += active.astype(z.dtype) * jax.hessian(product)(z[last])
     return total
 
 

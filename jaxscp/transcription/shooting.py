@@ -100,8 +100,8 @@ def linearise_with_hessian(
 ) -> tuple[Linearisation, Float[Array, "intervals inputs inputs"]]:
     """Every interval linearised, and the second derivatives of the Lagrangian, one block an interval.
 
-    The Lagrangian couples intervals only linearly. Constraints at nodes, end conditions and terminal cost are left out:
-    their second derivatives belong to nodes.
+    The Lagrangian couples intervals only linearly. A constraint at nodes counts at the first node of every interval.
+    End conditions, terminal cost and constraints at the last node are left out: they belong to nodes.
     """
     values = tuple(  # on the central path, an inactive constraint has a multiplier too
         jnp.where(c.active_in_intervals(v.shape[1])[:, :, None], -v, 0.0)
