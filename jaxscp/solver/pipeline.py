@@ -158,7 +158,8 @@ def _setup(pipeline: Pipeline, scenario: Scenario):
 @functools.partial(jit_with_options, static_argnums=0)
 def _setup_again(pipeline: Pipeline, scenario: Scenario, context: Any, plan: Trajectory):
     own, units = scenario.in_solver_units(pipeline.method.form)
-    guess = own.warm_guess(plan if units is None else units.own_trajectory(plan))
+    guess = scenario.warm_guess(plan)
+    guess = guess if units is None else units.own_trajectory(guess)
     asked, context = own.problem(pipeline.nodes, pipeline.method.form, context)
     about = pipeline.reported(scenario, context), context
     return _strongly_typed((scenario.valid(), *_on_nodes(pipeline, asked, guess), about))

@@ -51,7 +51,7 @@ def test_units_of_a_typical_scene_are_near_one():
 
 def test_units_and_back():
     by = units_of(scene())
-    path = plan().trajectory
+    path = plan().trajectory.with_dynamics(None)
     back = by.trajectory(by.own_trajectory(path))
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-12), back, path)
 
