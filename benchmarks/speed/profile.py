@@ -22,6 +22,7 @@ from jaxscp.cones import product
 from jaxscp.conic import conic_form, kkt, native
 from jaxscp.conic.equilibrate import equilibrate
 from jaxscp.landing.scenarios import platform_to_platform
+from jaxscp.landing.units import in_units, units_of
 from jaxscp.landing.validation import validate
 from jaxscp.linalg import riccati
 from jaxscp.nlp.newton_system import (
@@ -284,6 +285,7 @@ def _interior_pieces(pieces: Pieces, method: NewtonSCP, problem: Any, solution: 
 def run(echo: Echo, nodes: int = 30) -> dict[str, Any]:
     """Profiles of both modes on Case 1."""
     scenario, machine = platform_to_platform(), ceiling()
+    scenario = in_units(scenario, units_of(scenario))  # its solution is then in the units of the solver
     echo(machine.report())
     found: dict[str, Any] = {"peak_flops": machine.flops, "bandwidth": machine.bandwidth}
     for name, method in (("paper", PTR()), ("default", NewtonSCP())):

@@ -13,6 +13,7 @@ from jaxscp.landing.allocation import allocate, fits
 from jaxscp.landing.guess import initial_guess
 from jaxscp.landing.mission import PARTS, Mission
 from jaxscp.landing.problem import landing_problem
+from jaxscp.landing.units import Units, in_units, units_of
 from jaxscp.landing.validation import check_types, valid, validate
 from jaxscp.landing.warm_guess import warm_guess
 from jaxscp.problem.errors import InvalidScenario
@@ -86,6 +87,17 @@ class LandingScenario(Mission):
         if self.obstacles is None:
             return self
         return eqx.tree_at(lambda s: s.obstacles, self, None)
+
+    def in_solver_units(self, form: Form) -> tuple["LandingScenario", Units | None]:
+        """The scenario in units taken from it, and the units.
+
+        Args:
+            form: statement that the method solves; the paper's weights are for the user's own units.
+        """
+        if form.carries_cost:
+            return self, None
+        units = units_of(self)
+        return in_units(self, units), units
 
     def problem(
         self,

@@ -7,10 +7,12 @@ import jax
 
 from jaxscp.core import batching
 from jaxscp.core.status import Status
+from jaxscp.core.types import Scalar
 from jaxscp.problem.scaled_time import ScaledTimeProblem
 from jaxscp.problem.trajectory import Trajectory
 from jaxscp.scp.history import History
 from jaxscp.scp.method import Method, MethodResult
+from jaxscp.solver.scenario import Units
 from jaxscp.solver.solution import Solution
 from jaxscp.transcription.layout import trajectory_of
 from jaxscp.transcription.stationarity import stationarity
@@ -20,8 +22,21 @@ from jaxscp.verification.gradient import verified_gradient
 CERTIFICATE_CHUNK = (4096,)  # batch elements certified at once on a GPU, which takes as long for fewer
 
 
+class Reported(eqx.Module):
+    """The problem in the user's units, which a solution is asked by and given in."""
+
+    problem: ScaledTimeProblem
+    units: Units
+    """Of the solver."""
+
+
 def conclude(
-    method: Method, samples: int, problem: ScaledTimeProblem, result: MethodResult, context: Any
+    method: Method,
+    samples: int,
+    problem: ScaledTimeProblem,
+    result: MethodResult,
+    context: Any,
+    reported: Reported | None = None,
 ) -> Solution:
     """The solution with its certificate.
 
@@ -31,36 +46,47 @@ def conclude(
         problem: that was solved.
         result: of the method.
         context: of the scenario, or None.
+        reported: the problem in the user's units; None if it is the one that was solved.
     """
-    trajectory = trajectory_of(problem, result.z)
-    frozen = jax.lax.stop_gradient((problem, result, trajectory))
+    trajectory, multipliers, z = trajectory_of(problem, result.z), result.multipliers, result.z
+    if reported is not None:
+        trajectory = reported.units.trajectory(trajectory)
+        z = reported.problem.join(trajectory.state, trajectory.control, trajectory.dilation)
+        if multipliers is not None:
+            multipliers = reported.units.multipliers(problem, multipliers)
+    asked = problem if reported is None else reported.problem
+    frozen = jax.lax.stop_gradient((problem, result, asked, trajectory))
     certificate = batching.in_chunks(
         lambda fixed: _certificate(method, samples, *fixed), frozen, CERTIFICATE_CHUNK
     )
     failed = (result.status == Status.converged) & ~certificate.passed(method.holds_between_nodes)
     return Solution(
         status=Status.where(failed, Status.verification_failed, result.status),
-        trajectory=trajectory.with_dynamics(problem.dynamics),
-        cost=result.cost if problem.sizes is None else result.cost * problem.sizes.cost,
+        trajectory=trajectory.with_dynamics(asked.dynamics),
+        cost=result.cost * _sizes(problem, reported)[0],
         final_time=trajectory.time[-1],
         iterations=result.iterations,
         interior_point_iterations=result.interior_point_iterations,
         differentiable=result.is_optimum,
-        multipliers=result.multipliers,
+        multipliers=multipliers,
         certificate=certificate,
-        history=_in_units(problem, result.history),
+        history=_in_units(result.history, *_sizes(problem, reported)),
         backends=result.backends,
-        z=result.z,
+        z=z,
         context=context,
     )
 
 
-def _in_units(problem: ScaledTimeProblem, history: History) -> History:
+def _sizes(problem: ScaledTimeProblem, reported: Reported | None) -> tuple[Scalar | float, Scalar | float]:
+    """Sizes of the solver's units of cost and of time."""
+    if reported is not None:
+        return reported.units.cost, reported.units.time
+    return (1.0, 1.0) if problem.sizes is None else (problem.sizes.cost, problem.sizes.time)
+
+
+def _in_units(history: History, cost: Scalar | float, time: Scalar | float) -> History:
     """The history with costs and times in the user's units; the other columns are relative to typical sizes."""
-    sizes = problem.sizes
-    if sizes is None:
-        return history
-    parts = history.cost * sizes.cost, history.objective * sizes.cost, history.final_time * sizes.time
+    parts = history.cost * cost, history.objective * cost, history.final_time * time
     return eqx.tree_at(lambda h: (h.cost, h.objective, h.final_time), history, parts)
 
 
@@ -69,6 +95,7 @@ def _certificate(
     samples: int,
     problem: ScaledTimeProblem,
     result: MethodResult,
+    asked: ScaledTimeProblem,
     trajectory: Trajectory,
 ) -> Certificate:
     """Certificate of a trajectory; with multipliers and a grid, its KKT residual by the verifier's integration."""
@@ -76,4 +103,4 @@ def _certificate(
     if result.multipliers is not None and method.grid is not None:
         gradient = verified_gradient(problem, result.z, result.multipliers, method.grid)
         optimality = stationarity(gradient, result.z, result.cost)
-    return certify(problem, trajectory, samples, optimality)
+    return certify(asked, trajectory, samples, optimality)

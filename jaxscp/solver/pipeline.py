@@ -23,10 +23,11 @@ from jaxscp.core.types import Flag
 from jaxscp.problem.canonical import canonical
 from jaxscp.problem.errors import InvalidScenario
 from jaxscp.problem.lowering import over_scaled_time
+from jaxscp.problem.problem import OptimalControlProblem
 from jaxscp.problem.scaled_time import ScaledTimeProblem
 from jaxscp.problem.trajectory import Trajectory
 from jaxscp.scp.method import Method, MethodResult, iterate
-from jaxscp.solver.conclude import conclude
+from jaxscp.solver.conclude import Reported, conclude
 from jaxscp.solver.load import load_planner
 from jaxscp.solver.scenario import Scenario
 from jaxscp.solver.solution import Solution
@@ -92,10 +93,17 @@ class Pipeline(eqx.Module):
 
     def setup(self, scenario: Scenario) -> tuple[ScaledTimeProblem, Any, Any]:
         """Problem over scaled time, first node variables and context: the inputs of the iterations."""
-        asked, context = scenario.problem(self.nodes, self.method.form)
-        guess = scenario.guess(asked, context)
-        problem = over_scaled_time(canonical(asked), self.method.form, guess)
-        return problem, problem.join(guess.state, guess.control, guess.dilation), context
+        own, _ = scenario.in_solver_units(self.method.form)
+        asked, context = own.problem(self.nodes, self.method.form)
+        return *_on_nodes(self, asked, own.guess(asked, context)), context
+
+    def reported(self, scenario: Scenario, context: Any) -> Reported | None:
+        """The problem in the user's units, with the solver's units; None where these are the same."""
+        _, units = scenario.in_solver_units(self.method.form)
+        if units is None:
+            return None
+        asked, _ = scenario.problem(self.nodes, self.method.form, context)
+        return Reported(over_scaled_time(canonical(asked), self.method.form), units)
 
     def check(self, scenario: Scenario) -> None:
         """Check a scenario: its parts and shapes, and its values where all are known."""
@@ -121,6 +129,12 @@ class Pipeline(eqx.Module):
         return planner_cache.Maker(self, self.trace, load_planner)
 
 
+def _on_nodes(pipeline: Pipeline, asked: OptimalControlProblem, guess: Trajectory):
+    """The problem over scaled time, and the guess as its node variables."""
+    problem = over_scaled_time(canonical(asked), pipeline.method.form, guess)
+    return problem, problem.join(guess.state, guess.control, guess.dilation)
+
+
 def _check_class(scenario: Any) -> None:
     if isinstance(scenario, type) or not isinstance(scenario, Scenario):
         raise InvalidScenario(
@@ -135,28 +149,32 @@ def _class_of(value: Any) -> str:
 
 @functools.partial(jit_with_options, static_argnums=0)
 def _setup(pipeline: Pipeline, scenario: Scenario):
-    return _strongly_typed((scenario.valid(), *pipeline.setup(scenario)))
+    problem, z, context = pipeline.setup(scenario)
+    about = pipeline.reported(scenario, context), context
+    return _strongly_typed((scenario.valid(), problem, z, about))
 
 
 @functools.partial(jit_with_options, static_argnums=0)
 def _setup_again(pipeline: Pipeline, scenario: Scenario, context: Any, plan: Trajectory):
-    form, guess = pipeline.method.form, scenario.warm_guess(plan)
-    asked, context = scenario.problem(pipeline.nodes, form, context)
-    problem = over_scaled_time(canonical(asked), form, guess)
-    z = problem.join(guess.state, guess.control, guess.dilation)
-    return _strongly_typed((scenario.valid(), problem, z, context))
+    own, units = scenario.in_solver_units(pipeline.method.form)
+    guess = scenario.warm_guess(plan)
+    guess = guess if units is None else units.own_trajectory(guess)
+    asked, context = own.problem(pipeline.nodes, pipeline.method.form, context)
+    about = pipeline.reported(scenario, context), context
+    return _strongly_typed((scenario.valid(), *_on_nodes(pipeline, asked, guess), about))
 
 
 @functools.partial(jit_with_options, static_argnums=0)
-def _solve(pipeline: Pipeline, ok: Flag, problem: ScaledTimeProblem, z, context: Any):
-    return _strongly_typed((ok, problem, iterate(pipeline.method, problem, z, ok), context))
+def _solve(pipeline: Pipeline, ok: Flag, problem: ScaledTimeProblem, z, about: Any):
+    return _strongly_typed((ok, problem, iterate(pipeline.method, problem, z, ok), about))
 
 
 @functools.partial(jit_with_options, static_argnums=0)
 def _conclude(
-    pipeline: Pipeline, ok: Flag, problem: ScaledTimeProblem, result: MethodResult, context: Any
+    pipeline: Pipeline, ok: Flag, problem: ScaledTimeProblem, result: MethodResult, about: Any
 ) -> Solution:
-    solution = conclude(pipeline.method, pipeline.samples, problem, result, context)
+    reported, context = about
+    solution = conclude(pipeline.method, pipeline.samples, problem, result, context, reported)
     return _undefined_unless(ok, solution)
 
 

@@ -38,6 +38,10 @@ class Request(eqx.Module):
         """All of it."""
         return self
 
+    def in_solver_units(self, form: Form) -> tuple["Request", None]:
+        """As it is: a problem states its own scale."""
+        return self, None
+
     def problem(self, nodes: int, form: Form, context: Any = None) -> tuple[OptimalControlProblem, None]:
         """The problem, which needs no context."""
         return self.asked, None

@@ -2,10 +2,39 @@
 
 from typing import Any, Protocol, runtime_checkable
 
-from jaxscp.core.types import Flag
+from jaxscp.core.types import Flag, Scalar
 from jaxscp.problem.form import Form
+from jaxscp.problem.multipliers import Multipliers
 from jaxscp.problem.problem import OptimalControlProblem
+from jaxscp.problem.scaled_time import ScaledTimeProblem
 from jaxscp.problem.trajectory import Trajectory
+
+
+@runtime_checkable
+class Units(Protocol):
+    """Units that a scenario is solved in."""
+
+    @property
+    def time(self) -> Scalar:
+        """Size of the unit of time, in the user's."""
+        ...
+
+    @property
+    def cost(self) -> Scalar:
+        """Size of the unit of cost, in the user's."""
+        ...
+
+    def trajectory(self, own: Trajectory) -> Trajectory:
+        """A trajectory in the user's units, from one in these."""
+        ...
+
+    def own_trajectory(self, plan: Trajectory) -> Trajectory:
+        """A trajectory in these units, from one in the user's."""
+        ...
+
+    def multipliers(self, problem: ScaledTimeProblem, own: Multipliers) -> Multipliers:
+        """Multipliers in the user's units, from the multipliers of the problem in these units."""
+        ...
 
 
 @runtime_checkable
@@ -25,6 +54,10 @@ class Scenario(Protocol):
 
     def solver_inputs(self) -> Any:
         """The scenario without the parts that no solver reads."""
+        ...
+
+    def in_solver_units(self, form: Form) -> tuple["Scenario", Units | None]:
+        """The scenario in the units that a method works in, and these units; None for the user's own."""
         ...
 
     def problem(self, nodes: int, form: Form, context: Any = None) -> tuple[OptimalControlProblem, Any]:

@@ -47,7 +47,7 @@ class Solution(eqx.Module):
     backends: Backends
     """Implementations that served: JAX, compiled C++, or a CUDA kernel."""
     z: Float[Array, "nodes variables"]
-    """Node variables, in the units of the solver."""
+    """Node variables, in the user's units; of a problem with a scale, relative to it."""
     context: Any
     """Data that the scenario built its problem with; for a landing, the polytope of every interval."""
 

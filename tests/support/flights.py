@@ -9,6 +9,7 @@ import jaxscp
 from jaxscp import scenarios
 from jaxscp.landing.allocation import allocate
 from jaxscp.landing.problem import landing_problem
+from jaxscp.problem.canonical import canonical
 from jaxscp.problem.form import Continuous
 from jaxscp.problem.lowering import over_scaled_time
 
@@ -29,6 +30,12 @@ def short_problem(everything=False):
         )
     allocation = allocate(scenario.corridor, scenario.start.position, scenario.goal.position, NODES)
     return over_scaled_time(landing_problem(scenario, allocation), Continuous())
+
+
+def problem_over_scaled_time(scenario, nodes):
+    """The problem of a scenario in the user's units, whatever units a planner solves it in."""
+    asked, _ = scenario.problem(nodes)
+    return over_scaled_time(canonical(asked), Continuous())
 
 
 def random_nodes(problem, seed):

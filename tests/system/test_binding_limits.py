@@ -13,6 +13,7 @@ import jaxscp
 from jaxscp.nlp.central_path import MU
 from jaxscp.nlp.interior_point import NLPInteriorPoint
 from jaxscp.transcription.shooting import evaluate, total_cost
+from tests.support.flights import problem_over_scaled_time
 
 PLANNER = jaxscp.Planner()
 GRID = jaxscp.NewtonSCP().grid
@@ -87,7 +88,7 @@ def test_gradients_are_differences(limits):
 
     @jax.jit
     def optimum(value):
-        problem, _, _ = PLANNER.pipeline.setup(with_limit(value))
+        problem = problem_over_scaled_time(with_limit(value), PLANNER.nodes)
         found = AGAIN.run(problem, solution.z, solution.multipliers, GRID)
         return total_cost(problem, found.z, evaluate(problem, found.z, GRID)), AGAIN.is_optimum(found)
 

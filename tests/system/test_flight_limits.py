@@ -14,6 +14,7 @@ import jaxscp
 from jaxscp import Planner, scenarios, status_names
 from jaxscp.dynamics.rotations import rotation_matrix
 from jaxscp.verification.rollout import rollout
+from tests.support.flights import problem_over_scaled_time
 
 SPEED, TILT, BODY_RATE, THRUST_RATE = 3.5, 0.7, 3.0, 40.0
 BALL, BALL_RADIUS = np.array([3.0, 2.0, 4.4]), 0.4
@@ -37,7 +38,7 @@ def planned():
     )
     planner = Planner(nodes=20)
     solution = planner(scenario)
-    problem, _, _ = planner.pipeline.setup(scenario)
+    problem = problem_over_scaled_time(scenario, planner.nodes)
     flight = jax.jit(lambda t: rollout(problem, t, 100))(solution.trajectory)
     return scenario, solution, flight
 
