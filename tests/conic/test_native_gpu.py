@@ -130,7 +130,7 @@ def iterate(solver, programs, warm_start=None):
 
 @needs_compiler
 @pytest.mark.parametrize(
-    "warm", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["cold start", "warm start"]
+    "warm", [False, pytest.param(True, marks=pytest.mark.nightly)], ids=["cold start", "warm start"]
 )
 def test_steps_are_the_same_and_batch_elements_independent(kernel, monkeypatch, warm):
     programs, name = kernel

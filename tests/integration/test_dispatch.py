@@ -93,7 +93,7 @@ def outputs_in_jax(problem, z, grid):
 @pytest.mark.parametrize(
     "rate",
     [
-        pytest.param(rate, id=name, marks=[pytest.mark.slow] if name == "rigid body" else [])
+        pytest.param(rate, id=name, marks=[pytest.mark.nightly] if name == "rigid body" else [])
         for name, rate in RATES.items()
     ],
 )

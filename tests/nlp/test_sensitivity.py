@@ -121,7 +121,7 @@ def test_translating_the_whole_scene_changes_nothing(planned):
         assert float(jnp.max(jnp.abs(total))) < ROUNDING * max(1.0, float(jnp.max(jnp.abs(corridor))))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_heavier_world_takes_as_long(planned):
     """Mass, inertia and thrust limits times k: the same trajectory with k times the thrust.
 

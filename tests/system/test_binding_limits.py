@@ -53,7 +53,7 @@ def nightly(cases):
 @pytest.mark.parametrize(
     "limits",
     [
-        *(pytest.param(case, marks=pytest.mark.slow) for case in SPEEDS),
+        *nightly(SPEEDS),
         *nightly(TILTS),
         *nightly(BODY_RATES),
         *nightly(THRUST_RATES),

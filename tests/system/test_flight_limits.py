@@ -16,6 +16,8 @@ from jaxscp.dynamics.rotations import rotation_matrix
 from jaxscp.verification.rollout import rollout
 from tests.support.flights import problem_over_scaled_time
 
+pytestmark = pytest.mark.nightly
+
 SPEED, TILT, BODY_RATE, THRUST_RATE = 3.5, 0.7, 3.0, 40.0
 BALL, BALL_RADIUS = np.array([3.0, 2.0, 4.4]), 0.4
 GATE, GATE_RADIUS = np.array([2.2, 0.8, 2.2]), 0.15
@@ -43,7 +45,6 @@ def planned():
     return scenario, solution, flight
 
 
-@pytest.mark.slow
 def test_every_limit_holds_on_the_whole_flight(planned):
     _, solution, flight = planned
     assert status_names(solution.status) == "converged"
@@ -57,14 +58,12 @@ def test_every_limit_holds_on_the_whole_flight(planned):
     assert np.linalg.norm(state[:, :3] - BALL, axis=1).min() > BALL_RADIUS - MILLIMETRE
 
 
-@pytest.mark.slow
 def test_it_passes_the_gate(planned):
     _, _, flight = planned
     distance = np.linalg.norm(np.asarray(flight.state)[:, :, :3] - GATE, axis=2)
     assert distance.min() < GATE_RADIUS + MILLIMETRE
 
 
-@pytest.mark.slow
 def test_it_lands_on_the_moving_deck_with_any_heading(planned):
     scenario, _, flight = planned
     end, time = np.asarray(flight.state[-1, -1]), float(flight.time[-1, -1])
@@ -74,7 +73,6 @@ def test_it_lands_on_the_moving_deck_with_any_heading(planned):
     np.testing.assert_allclose(rotation_matrix(jnp.asarray(end[6:10]))[:, 2], [0.0, 0.0, 1.0], atol=2e-3)
 
 
-@pytest.mark.slow
 def test_each_limit_is_felt(planned):
     """Each limit is active at one point at least; otherwise the other tests would be weak."""
     _, _, flight = planned

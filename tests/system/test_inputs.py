@@ -21,7 +21,7 @@ def position(solution):
     return np.asarray(solution.trajectory.state[:, :3])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_faces_of_any_length_give_the_same_plan():
     low = room(upper=(11.0, 5.0, 1.6))
     expected = PLANNER(low)

@@ -208,7 +208,9 @@ def drive():
     return compiled(around)
 
 
-SIDES = pytest.mark.parametrize("side", [-1.0, 1.0], ids=["below", "above"])
+SIDES = pytest.mark.parametrize(
+    "side", [pytest.param(-1.0, id="below", marks=pytest.mark.nightly), pytest.param(1.0, id="above")]
+)
 
 
 @pytest.mark.slow

@@ -19,8 +19,9 @@ MISSIONS = {
 }
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize(
+    "seed", [pytest.param(0, marks=pytest.mark.slow), pytest.param(1, marks=pytest.mark.nightly)]
+)
 def test_plans_land_where_they_say(seed):
     mission = list(MISSIONS.values())[seed]
     scenarios = random_instances(jax.random.key(seed), 50, mission)
@@ -44,8 +45,9 @@ def test_coarse_subproblems_end_where_exact_ones_do():
     assert steps[1] > 1.5 * steps[0]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", MISSIONS)
+@pytest.mark.parametrize(
+    "name", [pytest.param("platform", marks=pytest.mark.slow), pytest.param("ascend", marks=pytest.mark.nightly)]
+)
 @pytest.mark.parametrize("method", [jaxscp.PTR(), jaxscp.NewtonSCP()], ids=["paper", "newton"])
 def test_scipy_lands_where_the_plan_says(name, method):
     """SciPy's DOP853 integrates the controls, independent of the certificate's integrator."""

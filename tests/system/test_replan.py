@@ -36,7 +36,7 @@ def assert_replans(plan, scenario):
     np.testing.assert_allclose(float(again.cost), float(fresh.cost), rtol=SAME_COST)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("scenario", CHANGES.values(), ids=CHANGES)
 def test_a_plan_off_its_ends_returns_to_them(plan, scenario):
     assert_replans(plan, scenario)

@@ -16,8 +16,13 @@ from tests.support.flights import random_nodes, short_problem
 ROUNDING = 1e-10
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("grid", [Grid(), Grid(subintervals=3, steps=2)], ids=["default", "coarse"])
+@pytest.mark.parametrize(
+    "grid",
+    [
+        pytest.param(Grid(), id="default", marks=pytest.mark.nightly),
+        pytest.param(Grid(subintervals=3, steps=2), id="coarse", marks=pytest.mark.slow),
+    ],
+)
 def test_it_is_what_automatic_differentiation_says(grid):
     problem, random = short_problem(), np.random.default_rng(0)
     z = random_nodes(problem, 1)
