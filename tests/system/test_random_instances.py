@@ -46,7 +46,8 @@ def test_coarse_subproblems_end_where_exact_ones_do():
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param("platform", marks=pytest.mark.slow), pytest.param("ascend", marks=pytest.mark.nightly)]
+    "name",
+    [pytest.param("platform", marks=pytest.mark.slow), pytest.param("ascend", marks=pytest.mark.nightly)],
 )
 @pytest.mark.parametrize("method", [jaxscp.PTR(), jaxscp.NewtonSCP()], ids=["paper", "newton"])
 def test_scipy_lands_where_the_plan_says(name, method):
