@@ -33,7 +33,10 @@ from jaxscp.transcription.inequalities import Values, cones, inequalities
 from jaxscp.transcription.shooting import Grid, evaluate
 
 FRACTION_TO_BOUNDARY = 0.99  # of the way to the cone's boundary that a step may take
-BARRIER_TOLERANCE_FACTOR = 300.0  # times mu: residual below which mu may fall
+# Times mu: residual below which mu may fall. The first after a Newton step that nothing shortened or corrected; else
+# the tolerance of Waechter and Biegler: a path that is left there is rarely found again at a lower mu.
+BARRIER_TOLERANCE_FACTOR, CAREFUL_FACTOR = 300.0, 10.0
+WHOLE = 0.9  # fraction of a step that counts as all of it
 MAX_STEP = 0.3  # largest step of a variable, in its typical size
 IN_CONES = 1e-6  # KKT residual below which second-order conditions leave the ratio form
 
@@ -51,6 +54,8 @@ class Iterate(eqx.Module):
     mu: Scalar
     inertia_correction: Scalar
     """Last nonzero addition to the (scaled) diagonal."""
+    regular: Flag
+    """Whether the last step was whole, by a matrix without correction."""
     error: Scalar
     """KKT residual of the previous iterate, at the final mu and in the cones; infinite before that."""
     step_norm: Scalar
@@ -135,6 +140,7 @@ class NLPInteriorPoint(eqx.Module):
             chosen=chosen,
             mu=mu,
             inertia_correction=jnp.zeros_like(mu),
+            regular=jnp.zeros((), bool),
             error=jnp.full_like(mu, jnp.inf),
             step_norm=jnp.full_like(mu, jnp.inf),
             steps=jnp.zeros((), int),
@@ -150,10 +156,9 @@ class NLPInteriorPoint(eqx.Module):
         model, curved = _in_ratio_form(old, in_cones)
         pairs = pairs_of(problem, old.slack, old.y.values, curved)
         error = _kkt_residual(problem, old, model, pairs, scale)
-        mu = self._next_mu(old.mu, error)
-        factor, correction = factor_definite(
-            newton_matrix(problem, model, pairs.eliminated, scale), old.inertia_correction
-        )
+        mu = self._next_mu(old, error)
+        matrix = newton_matrix(problem, model, pairs.eliminated, scale)
+        factor, correction = factor_definite(matrix, old.inertia_correction)
         step = newton_direction(problem, model, pairs, mu, factor, scale)
 
         size = jnp.max(jnp.abs(step.z / scale))
@@ -174,7 +179,8 @@ class NLPInteriorPoint(eqx.Module):
             values=advance(curved_values, jacobian_product(problem, slopes, step.z), primal),
             chosen=old.chosen,
             mu=mu,
-            inertia_correction=correction,
+            inertia_correction=jnp.where(correction > 0.0, correction, old.inertia_correction),
+            regular=(primal >= WHOLE) & (correction == 0.0),
             error=jnp.where(last_steps & (old.mu <= self.final_mu), error, jnp.inf),
             step_norm=primal * size,
             steps=old.steps + 1,
@@ -182,9 +188,10 @@ class NLPInteriorPoint(eqx.Module):
         )
         return _into_cones(problem, new, ~last_steps & (old.mu <= self.final_mu) & (error <= IN_CONES))
 
-    def _next_mu(self, mu: Scalar, error: Scalar) -> Scalar:
+    def _next_mu(self, at: Iterate, error: Scalar) -> Scalar:
         """The barrier parameter, lowered where the iterate is close to the central path."""
-        ready = (error <= BARRIER_TOLERANCE_FACTOR * mu) & (mu > self.final_mu)
+        mu, factor = at.mu, jnp.where(at.regular, BARRIER_TOLERANCE_FACTOR, CAREFUL_FACTOR)
+        ready = (error <= factor * mu) & (mu > self.final_mu)
         return jnp.where(ready, jnp.maximum(self.final_mu, jnp.minimum(0.2 * mu, mu**1.5)), mu)
 
 

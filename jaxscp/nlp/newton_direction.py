@@ -20,7 +20,10 @@ from jaxscp.problem.multipliers import Multipliers
 from jaxscp.problem.scaled_time import ScaledTimeProblem
 from jaxscp.transcription.inequalities import Values, cones
 
-LEAST_CORRECTION, GROWTH, MOST_CORRECTION = 1e-4, 8.0, 1e4  # of the diagonal, where the matrix is indefinite
+# Corrections of the diagonal, where the matrix is indefinite. One that is much larger than needed makes small steps
+# along directions of negative curvature: the iterates leave a saddle slowly.
+FIRST_CORRECTION, LEAST_CORRECTION, MOST_CORRECTION = 1e-4, 1e-9, 1e4
+SHRINKAGE, GROWTH = 3.0, 8.0  # from one iterate to the next, and from one trial to the next
 
 
 class Pairs(eqx.Module):
@@ -94,23 +97,23 @@ def newton_direction(
 def factor_definite(matrix: riccati.LQProblem, last: Scalar) -> tuple[riccati.Factor, Scalar]:
     """Factor of the matrix, and the inertia correction used: the least of a rising sequence that makes it definite.
 
-    The correction is zero where the second-order condition holds.
+    The correction is zero where the second-order condition holds. Source: Waechter and Biegler (2006), algorithm IC.
+
+    Args:
+        matrix: of the Newton system.
+        last: nonzero correction of an earlier iterate; zero if there was none.
     """
 
     def retry(carry):
         _, _, after = carry
-        least = jnp.maximum(LEAST_CORRECTION, last / GROWTH)
-        return (
-            riccati.factor(matrix.shifted(after)),
-            after,
-            jax.lax.select(after > 0, GROWTH * after, least),
-        )
+        larger = jax.lax.select(after > 0, GROWTH * after, least)
+        return riccati.factor(matrix.shifted(after)), after, larger
 
     def fails(carry):
         factor, correction, _ = carry
         return ~factor.definite & (correction < MOST_CORRECTION)
 
     none = jnp.zeros_like(last)
+    least = jnp.where(last > 0, jnp.maximum(LEAST_CORRECTION, last / SHRINKAGE), FIRST_CORRECTION)
     factor, used, _ = jax.lax.while_loop(fails, retry, (riccati.no_factor(matrix), none, none))
-    remembered: Array = jnp.where(used > 0, used, last)
-    return factor, remembered
+    return factor, used
