@@ -72,7 +72,7 @@ def _varied(scenario: LandingScenario, random: np.random.Generator) -> LandingSc
 @jax.jit
 def _prepared(scenario: LandingScenario):
     """(problem, conic program of the guess, guess)."""
-    allocation = allocate(scenario.corridor, scenario.start.position, scenario.goal.position, NODES)
+    allocation = allocate(scenario.route(), NODES)
     problem = over_scaled_time(landing_problem(scenario, allocation, Paper()), Paper())
     guess = initial_guess(scenario, allocation)
     z = problem.join(guess.states, guess.controls, guess.dilation)

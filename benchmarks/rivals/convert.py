@@ -120,7 +120,7 @@ def as_arrays(scenario: LandingScenario, nodes: int, method: PTR | None = None) 
 
 
 def _problem_and_guess(scenario: LandingScenario, nodes: int):
-    allocation = allocate(scenario.corridor, scenario.start.position, scenario.goal.position, nodes)
+    allocation = allocate(scenario.route(), nodes)
     guess = jax.jit(initial_guess)(scenario, allocation)
     return landing_problem(scenario, allocation, Paper()), guess
 

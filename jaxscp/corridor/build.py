@@ -23,6 +23,7 @@ import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Float
+from numpy.typing import ArrayLike
 
 from jaxscp.corridor.cells import cells_along
 from jaxscp.corridor.clouds import PointCloud
@@ -123,7 +124,7 @@ class CorridorOptions(eqx.Module):
 
 
 def build_corridor(
-    cloud: PointCloud, start: Triple, goal: Triple, radius: float, **options: Any
+    cloud: PointCloud | ArrayLike, start: Triple, goal: Triple, radius: float, **options: Any
 ) -> CorridorResult:
     """Safe flight corridor from start to goal through a point cloud.
 
@@ -131,7 +132,7 @@ def build_corridor(
     ``jaxscp.corridor.build`` explains the steps, the limits and the decks.
 
     Args:
-        cloud: obstacles; an empty one is free space.
+        cloud: obstacles, or their positions as an array, (points, 3), metres; an empty one is free space.
         start: (3,) metres.
         goal: (3,) metres.
         radius: safety radius of the vehicle, metres.
@@ -147,13 +148,12 @@ def build_corridor(
     Example:
         >>> import jaxscp, numpy as np
         >>> wall = [[0.0, y, z] for y in np.arange(-3, 3, 0.1) for z in np.arange(-3, 3, 0.1)]
-        >>> cloud = jaxscp.corridor.PointCloud.of(wall)
         >>> around = {"lower": [-4, -5, -3], "upper": [4, 5, 3]}
-        >>> result = jaxscp.corridor.build_corridor(cloud, [-2, 0, 0], [2, 0, 0], radius=0.3, **around)
+        >>> result = jaxscp.corridor.build_corridor(wall, [-2, 0, 0], [2, 0, 0], radius=0.3, **around)
         >>> result.found, result.corridor.count >= 2, bool(result.overlaps.min() >= 0.1)
         (True, True, True)
     """
-    settings = CorridorOptions(**options)
+    settings, cloud = CorridorOptions(**options), PointCloud.at(cloud)
     first, last = _point("start", start), _point("goal", goal)
     report = _accepted(map_report(cloud, first, last, radius, lower=settings.lower, upper=settings.upper))
     limits = settings.limits(cloud, first, last, radius)

@@ -75,6 +75,11 @@ class PointCloud(eqx.Module):
         _warn_of_units(array, source)
         return PointCloud(array, 0.0, dropped)
 
+    @staticmethod
+    def at(points: "PointCloud | ArrayLike") -> "PointCloud":
+        """The cloud itself, or one of an array of points, as ``of`` makes it."""
+        return points if isinstance(points, PointCloud) else PointCloud.of(points)
+
     @property
     def count(self) -> int:
         """Number of points."""

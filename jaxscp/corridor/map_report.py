@@ -6,6 +6,7 @@ from dataclasses import replace
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
+from numpy.typing import ArrayLike
 
 from jaxscp.corridor.clouds import PointCloud
 from jaxscp.corridor.extent import Triple, main_box, within
@@ -108,7 +109,7 @@ class MapReport(eqx.Module):
 
 
 def map_report(
-    cloud: PointCloud,
+    cloud: PointCloud | ArrayLike,
     start: Triple | None = None,
     goal: Triple | None = None,
     radius: float = 0.25,
@@ -122,7 +123,7 @@ def map_report(
     both, so that the same finding is a warning. Without start and goal, the frame and the place are not judged.
 
     Args:
-        cloud: the map.
+        cloud: the map, or its points as an array, (points, 3), metres.
         start: (3,) start of the flight, metres; None judges the map alone.
         goal: (3,) its goal, metres; None judges the map alone.
         radius: safety radius of the vehicle, metres.
@@ -135,6 +136,7 @@ def map_report(
         >>> report.accepted, round(report.spacing, 3), report.inside
         (True, 0.2, (False, False))
     """
+    cloud = PointCloud.at(cloud)
     origin = cloud.provenance
     source = "array" if origin is None else origin.file
     if cloud.count == 0:

@@ -11,6 +11,7 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float
+from numpy.typing import ArrayLike
 
 from jaxscp.corridor.clouds import PointCloud
 from jaxscp.corridor.decks import Deck
@@ -66,7 +67,7 @@ class RouteOptions(eqx.Module):
 
 
 def find_route(
-    cloud: PointCloud, start: Point, goal: Point, radius: float, **options: Any
+    cloud: PointCloud | ArrayLike, start: Point, goal: Point, radius: float, **options: Any
 ) -> Route | NoRoute:
     """Shortest way on a voxel grid that keeps ``radius + clearance``, then shortened at any angle.
 
@@ -75,7 +76,7 @@ def find_route(
     ``MCP_Geometric`` (Dijkstra over 26 neighbours).
 
     Args:
-        cloud: obstacles.
+        cloud: obstacles, or their positions as an array, (points, 3), metres.
         start: (3,) metres.
         goal: (3,) metres.
         radius: safety radius of the vehicle, metres; the cloud's spread is added.
@@ -92,6 +93,7 @@ def find_route(
         (True, True)
     """
     start, goal, chosen = np.asarray(start, float), np.asarray(goal, float), RouteOptions(**options)
+    cloud = PointCloud.at(cloud)
     space = _space(cloud, start, goal, radius, chosen)
     for end, (name, point) in enumerate((("start", start), ("goal", goal))):
         _check_end(end, f"{name} ({point[0]:g}, {point[1]:g}, {point[2]:g})", point, space, cloud.spread)

@@ -20,7 +20,7 @@ from jaxscp.conic.program import Cones, CouplingRows, HalfSpaceRows, StagedProgr
 from jaxscp.core.status import StatusCode
 from jaxscp.core.types import Controls, Nodes, Points, Scalar, States, Vector3
 from jaxscp.dynamics import flatness, rotations
-from jaxscp.landing.allocation import route_positions
+from jaxscp.landing.allocation import gate_nodes, route_positions
 from jaxscp.landing.mission import BodyState, Mission
 from jaxscp.landing.problem import in_cone
 
@@ -54,7 +54,7 @@ def initial_guess(scenario: Mission, allocation: Int[Array, "intervals"]) -> Gue
 
     Args:
         scenario: to plan.
-        allocation: polytope of every interval; node k has the polytope of interval k.
+        allocation: leg of every interval; node k has the polytope of interval k.
 
     Returns:
         States, controls and dilation at the nodes; positions are along the route itself if the program fails.
@@ -66,7 +66,7 @@ def initial_guess(scenario: Mission, allocation: Int[Array, "intervals"]) -> Gue
     program = guess_program(scenario, allocation, units)
     solution = GUESS_CONIC(program)
     path = units.of_path(solution.z)
-    straight = route_positions(scenario.corridor, scenario.start.position, scenario.goal.position, allocation)
+    straight = route_positions(scenario.route(), allocation)
     solved = jnp.all(jnp.isfinite(solution.z)) & (program.violation(solution.z) < GUESS_VIOLATION)
     still = jnp.zeros_like(straight)
     path = jax.tree.map(lambda a, b: jnp.where(solved, a, b), path, (straight, still, still))
@@ -145,7 +145,7 @@ def guess_time(scenario: Mission, allocation: Int[Array, "intervals"]) -> Scalar
 
 
 def _route_length(scenario: Mission, allocation: Int[Array, "intervals"]) -> Scalar:
-    route = route_positions(scenario.corridor, scenario.start.position, scenario.goal.position, allocation)
+    route = route_positions(scenario.route(), allocation)
     return jnp.sum(jnp.linalg.norm(jnp.diff(route, axis=0), axis=1))
 
 
@@ -153,10 +153,8 @@ def guess_program(scenario: Mission, allocation: Int[Array, "intervals"], units:
     """The path's program over node variables (position, velocity, acceleration, jerk), in the given units."""
     nodes = allocation.shape[0] + 1
     dtype = scenario.start.position.dtype
-    cell = jnp.concatenate([allocation, allocation[-1:]])
-    corridor = scenario.corridor
-    faces = corridor.normals[cell]
-    distances = (corridor.offsets[cell] - faces @ units.origin) / units.length
+    faces, offsets = _half_spaces(scenario, allocation)
+    distances = (offsets - faces @ units.origin) / units.length
     cotangent = 1.0 / jnp.tan(scenario.cone_angle)
     deck = rotations.rotation_matrix(scenario.goal.attitude).T  # rows are the deck's axes
     side = jnp.array([cotangent, 1.0, 1.0], dtype)[:, None] * deck[jnp.array([2, 0, 1])]
@@ -170,6 +168,26 @@ def guess_program(scenario: Mission, allocation: Int[Array, "intervals"], units:
         rows=HalfSpaceRows(_pad_columns(faces, VARIABLES), distances),
         cones=(Cones(cone_matrix[:, None], cone_offset[:, None]),),
     )
+
+
+def _half_spaces(
+    scenario: Mission, allocation: Int[Array, "intervals"]
+) -> tuple[Float[Array, "nodes faces 3"], Float[Array, "nodes faces"]]:
+    """Normals and offsets, m, of every node's half-spaces: of its polytope, and of a box inside its gate, if any."""
+    route, corridor = scenario.route(), scenario.corridor
+    polytope = route.polytope[allocation]
+    cell = jnp.concatenate([polytope, polytope[-1:]])
+    faces, offsets = corridor.normals[cell], corridor.offsets[cell]
+    gates, at = scenario.gates, gate_nodes(route, allocation)
+    if gates is None:
+        return faces, offsets
+    sides = jnp.concatenate([gates.shapes, -gates.shapes], axis=1)
+    reach = jnp.einsum("gfc,gc->gf", sides, gates.centres) + jnp.sqrt(
+        1.0 / 3.0
+    )  # of a cube inside the unit ball
+    none = jnp.zeros((faces.shape[0], *sides.shape[1:]), faces.dtype)
+    more = none.at[at].set(sides), jnp.ones(none.shape[:2], offsets.dtype).at[at].set(reach)
+    return jnp.concatenate([faces, more[0]], axis=1), jnp.concatenate([offsets, more[1]], axis=1)
 
 
 def _weights(nodes: int, dtype) -> Float[Array, "12"]:

@@ -16,6 +16,7 @@ from jaxscp.corridor.polytopes import Corridor, unit_rows
 from jaxscp.dynamics import rotations
 from jaxscp.dynamics.airframes import Airframe
 from jaxscp.dynamics.rigid_body import RigidBody
+from jaxscp.landing.route import Route, route_of
 
 
 class BodyState(eqx.Module):
@@ -205,6 +206,11 @@ class Mission(eqx.Module):
             self,
             [found.asarray(v) for v in (*rows, *attitudes)],
         )
+
+    def route(self) -> Route:
+        """The way from start to goal over joints and gates; the corridor's normals have length one."""
+        gates = None if self.gates is None else self.gates.centres
+        return route_of(self.corridor, self.start.position, self.goal.position, gates)
 
     def goal_at(self, time: Scalar) -> BodyState:
         """The goal in the world at a time in s."""

@@ -5,13 +5,14 @@ from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxscp.cones.cone import Cone, NonNegative, SecondOrder
 from jaxscp.core.types import Scalar
 from jaxscp.dynamics import rotations
-from jaxscp.landing.allocation import LANDING, gate_nodes, route_positions
+from jaxscp.landing.allocation import LANDING, gate_nodes
 from jaxscp.landing.constraints import (
     HalfSpaces,
     LandingCone,
@@ -146,19 +147,20 @@ def landing_problem(
 
     Args:
         mission: to plan.
-        allocation: polytope of every interval, see ``allocate``; node k has the polytope of interval k.
+        allocation: leg of every interval, see ``allocate``; node k has the polytope of interval k.
         form: statement of the problem. By default the final attitude is fixed by the three components of its error.
     """
     nodes, mission = allocation.shape[0] + 1, mission.with_unit_directions()
+    route = jax.lax.stop_gradient(mission).route()
     return OptimalControlProblem(
         dynamics=mission.airframe.body,
         cost=Cost(effort, flight_time, mission.weights),
         boundary=Boundary(*_ends(mission, form)),
         time=Time(nodes, FreeTime(mission.dilation_min, mission.dilation_max), mesh_weight=None),
         constraints=(
-            *_corridor_and_cone(mission, allocation),
+            *_corridor_and_cone(mission, route.polytope[allocation]),
             *_flight_limits(mission, nodes),
-            *_zones(mission, allocation),
+            *_zones(mission, nodes, gate_nodes(route, allocation)),
         ),
     )
 
@@ -180,9 +182,9 @@ def _ends(s: Mission, form: Form) -> tuple[EndCondition, EndCondition]:
     return initial, EndCondition(same_moving_pose, Pose(goal, s.deck_velocity, which), pose_rows(3))
 
 
-def _corridor_and_cone(s: Mission, allocation: Int[Array, "intervals"]):
-    nodes = allocation.shape[0] + 1
-    cell = jnp.concatenate([allocation, allocation[-1:]])
+def _corridor_and_cone(s: Mission, polytope: Int[Array, "intervals"]):
+    nodes = polytope.shape[0] + 1
+    cell = jnp.concatenate([polytope, polytope[-1:]])
     faces = HalfSpaces(s.corridor.normals[cell], s.corridor.offsets[cell])
     everywhere = jnp.ones(nodes, bool)
     yield _per_node("corridor", inside_half_spaces, NonNegative(), faces, everywhere)
@@ -260,16 +262,13 @@ def _flight_limits(s: Mission, nodes: int):
         )
 
 
-def _zones(s: Mission, allocation: Int[Array, "intervals"]):
-    nodes = allocation.shape[0] + 1
+def _zones(s: Mission, nodes: int, at_gates: Int[Array, "gates"]):
     if s.keep_out is not None and s.keep_out.centres.shape[0]:
         zones = repeat_over_nodes(Zones(s.keep_out.centres, s.keep_out.shapes), nodes)
         everywhere = jnp.ones(nodes, bool)
         keep_out = _per_node("keep-out", outside_zones, NonNegative(), zones, everywhere)
         yield dataclasses.replace(keep_out, convex=False)
     if s.gates is not None:
-        route = route_positions(s.corridor, s.start.position, s.goal.position, allocation)
-        chosen = gate_nodes(route, s.gates.centres)
         for number in range(s.gates.centres.shape[0]):
             gate = Zones(s.gates.centres[number], s.gates.shapes[number])
             yield _per_node(
@@ -277,7 +276,7 @@ def _zones(s: Mission, allocation: Int[Array, "intervals"]):
                 inside_zone,
                 SecondOrder(),
                 repeat_over_nodes(gate, nodes),
-                jnp.arange(nodes) == chosen[number],
+                jnp.arange(nodes) == at_gates[number],
                 AtNodes(),
                 DISTANCE_TOLERANCE * jnp.max(jnp.linalg.norm(gate.shapes, axis=1)),
             )

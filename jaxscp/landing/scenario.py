@@ -105,7 +105,7 @@ class LandingScenario(Mission):
         form: Form = Continuous(),  # noqa: B008
         context: Allocation | None = None,
     ) -> tuple[OptimalControlProblem, Allocation]:
-        """The optimal control problem, and the polytope of every interval.
+        """The optimal control problem, and the leg of the route of every interval.
 
         Args:
             nodes: N.
@@ -113,7 +113,7 @@ class LandingScenario(Mission):
             context: allocation to use again, in a re-plan; another one is returned if it does not fit the corridor.
         """
         frozen = jax.lax.stop_gradient(self)  # the allocation is no differentiable function
-        fresh = allocate(frozen.corridor, frozen.start.position, frozen.goal.position, nodes)
+        fresh = allocate(frozen.with_unit_directions().route(), nodes)
         context = fresh if context is None else jnp.where(fits(context, fresh), context, fresh)
         return landing_problem(self, context, form), context
 

@@ -61,10 +61,11 @@ def check_types(scenario: Mission, nodes: int) -> None:
         raise InvalidScenario(
             f"corridor: {polytopes} polytopes need at least {polytopes + 1} nodes, one interval each, not {nodes}."
         )
-    if scenario.gates is not None and scenario.gates.centres.shape[0] > nodes - 2:
+    gates = 0 if scenario.gates is None else scenario.gates.centres.shape[0]
+    if gates + polytopes > nodes - 1:
         raise InvalidScenario(
-            f"gates: {scenario.gates.centres.shape[0]} gates need a node each between the first and the last; there "
-            f"are {nodes - 2}."
+            f"gates: the {gates} gates and the joints of {polytopes} polytopes part the route into {gates + polytopes} "
+            f"legs, which need at least {gates + polytopes + 1} nodes, one interval each, not {nodes}."
         )
 
 

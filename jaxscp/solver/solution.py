@@ -49,7 +49,7 @@ class Solution(eqx.Module):
     z: Float[Array, "nodes variables"]
     """Node variables, in the user's units; of a problem with a scale, relative to it."""
     context: Any
-    """Data that the scenario built its problem with; for a landing, the polytope of every interval."""
+    """Data that the scenario built its problem with; for a landing, the leg of the route of every interval."""
 
     def save(self, file: str | os.PathLike, scenario: Any = None) -> None:
         """Write all of the solution to an .npz, and its scenario, for ``Solution.load``. No code is stored.

@@ -57,7 +57,7 @@ GUESS = jax.jit(initial_guess)  # compiled once for each mission
 
 
 def guess_of(scenario):
-    allocation = allocate(scenario.corridor, scenario.start.position, scenario.goal.position, NODES)
+    allocation = allocate(scenario.route(), NODES)
     return GUESS(scenario, allocation), allocation
 
 

@@ -1,4 +1,4 @@
-"""Allocation of intervals to polytopes."""
+"""Allocation of intervals to the legs of a route."""
 
 from itertools import pairwise
 
@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from jaxscp import Planner, scenarios, status_names
 from jaxscp.corridor.polytopes import box, connect
 from jaxscp.landing.allocation import IN_LAST, allocate, route_positions
+from jaxscp.landing.route import route_of
 
 
 def hall(lengths):
@@ -24,7 +25,7 @@ def hall(lengths):
 @settings(max_examples=30, deadline=None)
 @given(st.lists(st.floats(0.2, 20.0), min_size=1, max_size=6), st.integers(8, 40))
 def test_every_polytope_has_intervals_in_order_and_the_last_enough_to_land(lengths, nodes):
-    cells = np.asarray(allocate(*hall(lengths), nodes))
+    cells = np.asarray(allocate(route_of(*hall(lengths)), nodes))
     counts = np.bincount(cells, minlength=len(lengths))
     assert np.all(np.diff(cells) >= 0)
     assert counts.sum() == nodes - 1
@@ -33,14 +34,14 @@ def test_every_polytope_has_intervals_in_order_and_the_last_enough_to_land(lengt
 
 
 def test_long_polytopes_have_more_intervals():
-    counts = np.bincount(np.asarray(allocate(*hall([2.0, 8.0, 4.0]), 40)))
+    counts = np.bincount(np.asarray(allocate(route_of(*hall([2.0, 8.0, 4.0])), 40)))
     assert counts[1] > counts[2] > counts[0]
 
 
 def test_route_is_evenly_spaced_within_each_polytope():
-    corridor, start, goal = hall([3.0, 6.0])
-    cells = allocate(corridor, start, goal, 20)
-    x = np.asarray(route_positions(corridor, start, goal, cells))[:, 0]
+    route = route_of(*hall([3.0, 6.0]))
+    cells = allocate(route, 20)
+    x = np.asarray(route_positions(route, cells))[:, 0]
     steps = np.diff(x)
     for cell in (0, 1):
         np.testing.assert_allclose(steps[np.asarray(cells) == cell], steps[np.asarray(cells) == cell][0])

@@ -32,7 +32,7 @@ SOLVED = 1e-3  # a guess comes of a convex program, whose last bits depend on th
 @jax.jit
 def lowered(scenario):
     """Parameters of the problem, the guess, and the guess of a re-plan."""
-    allocation = allocate(scenario.corridor, scenario.start.position, scenario.goal.position, NODES)
+    allocation = allocate(scenario.route(), NODES)
     guess = initial_guess(scenario, allocation)
     path = jaxscp.Trajectory(jnp.linspace(0.0, 1.0, NODES), guess.states, guess.controls, guess.dilation)
     return landing_problem(scenario, allocation).arrays(), guess, warm_guess(scenario, path)

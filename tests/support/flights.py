@@ -28,7 +28,7 @@ def short_problem(everything=False):
             ),
             deck_velocity=jnp.array([0.1, 0.0, 0.0]),
         )
-    allocation = allocate(scenario.corridor, scenario.start.position, scenario.goal.position, NODES)
+    allocation = allocate(scenario.route(), NODES)
     return over_scaled_time(landing_problem(scenario, allocation), Continuous())
 
 
