@@ -1,0 +1,151 @@
+"""Disturbances that change slowly: their effect, an observer, and the reference under them.
+
+A disturbance d adds E d to the state's derivative. The observed quantity is y = E^+ x: of a rigid body, momentum and
+angular momentum. Between ticks y grows by what the dynamics predict and by tick * d. A steady-state Kalman filter of (y,
+tick * d), with white noise on y and a random walk of d, has the gains alpha and beta = alpha^2 / (2 - alpha), where
+alpha follows from Lambda = (change of tick * d a tick) / (noise of y) by Lambda = beta / sqrt(1 - alpha) (Kalata, "The
+tracking index", 1984).
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxscp.core.arrays import as_floats
+from jaxscp.core.types import Scalar
+from jaxscp.dynamics.base import Dynamics
+from jaxscp.dynamics.rigid_body import RigidBody
+
+Disturbance = Float[Array, "disturbances"]
+DAMPING = 1e-9  # of the mean eigenvalue
+
+
+class DisturbanceModel(eqx.Module):
+    """Effect of the disturbances and noise of their estimate.
+
+    Args:
+        effect: (states, disturbances) E, of full column rank.
+        noise: (disturbances,) standard deviation of a tick's error of y, in the disturbance's unit times s.
+        drift: (disturbances,) random walk of the disturbance, in its unit after one second.
+    """
+
+    effect: Float[Array, "states disturbances"] = eqx.field(converter=as_floats)
+    noise: Disturbance = eqx.field(converter=as_floats)
+    drift: Disturbance = eqx.field(converter=as_floats)
+
+    @staticmethod
+    def of(dynamics: Dynamics) -> "DisturbanceModel":
+        """Force in the world (N) and torque in body axes (N m) of a rigid body; no disturbance for others.
+
+        Noise: 2 cm/s and 0.03 rad/s. Drift: weight over 10, and the torque that turns at 2 rad/s^2, after one second.
+
+        Example:
+            >>> import jaxscp
+            >>> jaxscp.control.DisturbanceModel.of(jaxscp.airframes.paper_mav().body).effect.shape
+            (13, 6)
+        """
+        if not isinstance(dynamics, RigidBody):
+            return DisturbanceModel(
+                jnp.zeros((dynamics.state_size, 0)), jnp.zeros(0), jnp.zeros(0)
+            )
+        mass, inertia = dynamics.mass, dynamics.inertia
+        effect = jnp.zeros((13, 6)).at[3:6, :3].set(jnp.eye(3) / mass).at[10:, 3:].set(jnp.linalg.inv(inertia))
+        moments = jnp.diag(inertia)
+        return DisturbanceModel(
+            effect,
+            jnp.concatenate([jnp.full(3, 0.02) * mass, 0.03 * moments]),
+            jnp.concatenate([jnp.full(3, 1.0) * mass, 2.0 * moments]),
+        )
+
+    @property
+    def observed(self) -> Float[Array, "disturbances states"]:
+        """E^+."""
+        return jnp.linalg.pinv(self.effect) if self.effect.shape[1] else self.effect.T
+
+    def gains(self, tick: Scalar | float) -> tuple[Disturbance, Disturbance]:
+        """alpha and beta."""
+        index = self.drift * tick**1.5 / self.noise
+        # with s = sqrt(1 - alpha), Lambda s (1 + s^2) = (1 - s^2)^2 is a quadratic equation of s + 1 / s
+        w = 0.5 * (index + jnp.sqrt(index**2 + 16.0))
+        s = 2.0 / (w + jnp.sqrt(w**2 - 4.0))
+        alpha = 1.0 - s**2
+        return alpha, alpha**2 / (2.0 - alpha)
+
+
+class Observer(eqx.Module):
+    """Gains of one tick."""
+
+    effect: Float[Array, "states disturbances"]
+    observed: Float[Array, "disturbances states"]
+    alpha: Disturbance
+    beta: Disturbance
+    tick: Scalar
+
+    @staticmethod
+    def of(model: DisturbanceModel, tick: Scalar | float) -> "Observer":
+        """The observer of a model at a tick in s."""
+        return Observer(model.effect, model.observed, *model.gains(tick), jnp.asarray(tick))
+
+
+class Observed(eqx.Module):
+    """Estimate of the observer."""
+
+    momentum: Disturbance
+    """y"""
+    disturbance: Disturbance
+    """d"""
+
+
+def update(observer: Observer, before: Observed, expected, last, state) -> Observed:
+    """The estimate a tick later.
+
+    Args:
+        observer: gains.
+        before: estimate of the last tick.
+        expected: (states,) prediction for now from the last tick, with the disturbance.
+        last: (states,) estimate of the last tick.
+        state: (states,) estimate of now.
+    """
+    y = before.momentum + observer.observed @ (expected - last)
+    innovation = observer.observed @ state - y
+    return Observed(
+        y + observer.alpha * innovation, before.disturbance + observer.beta / observer.tick * innovation
+    )
+
+
+def compensation(dynamics: Dynamics, effect, error, state, control, time) -> Float[Array, "variables d"]:
+    """Smallest change of (state, control), for each unit of disturbance, that keeps the state's derivative.
+
+    With A and B the Jacobians of the dynamics, [A B] (dx, du) = -E d. A wind, say, is met by a tilt and more thrust.
+    What the dynamics cannot meet is left (damped least squares). Changes that the error does not see, as of a
+    quaternion's norm, are left out.
+
+    Args:
+        dynamics: equations of motion.
+        effect: (states, disturbances) E.
+        error: (state, reference) -> (errors,), of ``Tracking``.
+        state: (states,) of the reference.
+        control: (controls,) of the reference.
+        time: s.
+
+    Returns:
+        (states + controls, disturbances).
+
+    Example:
+        >>> import jax.numpy as jnp, jaxscp
+        >>> from jaxscp.control.disturbance import compensation
+        >>> from jaxscp.control.tracking import difference
+        >>> effect = jnp.array([[0.0], [1.0]])  # of an acceleration
+        >>> change = compensation(jaxscp.DoubleIntegrator(1), effect, difference, jnp.zeros(2), jnp.zeros(1), 0.0)
+        >>> (change + 0.0).round(6).ravel().tolist()
+        [0.0, 0.0, -1.0]
+    """
+    n = state.shape[0]
+    seen = jax.jacfwd(error)(state, state)
+    onto_seen = seen.T @ jnp.linalg.solve(seen @ seen.T, seen)
+    of_state, of_control = jax.jacfwd(lambda x, u: dynamics(x, u, time), argnums=(0, 1))(state, control)
+    jacobian = jnp.concatenate([of_state @ onto_seen, of_control], axis=1)
+    gram = jacobian @ jacobian.T
+    damping = DAMPING * jnp.trace(gram) / n * jnp.eye(n, dtype=gram.dtype)
+    return -jacobian.T @ jnp.linalg.solve(gram + damping, effect)

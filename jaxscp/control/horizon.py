@@ -1,0 +1,45 @@
+"""The grid of a prediction."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxscp.core.arrays import as_floats
+from jaxscp.core.types import Scalar
+
+
+def growing(duration: float, count: int, ratio: float = 1.2) -> Float[Array, "intervals"]:
+    """Lengths of intervals that grow by a ratio: fine where the controls act next.
+
+    Example:
+        >>> from jaxscp.control import growing
+        >>> growing(1.0, 4, 2.0).round(3).tolist()
+        [0.067, 0.133, 0.267, 0.533]
+    """
+    lengths = ratio ** jnp.arange(count, dtype=float)
+    return duration * lengths / jnp.sum(lengths)
+
+
+class Horizon(eqx.Module):
+    """The prediction's grid, and the work of a tick.
+
+    Args:
+        intervals: (intervals,) lengths in s; a second in ten intervals that grow, by default.
+        tick: s between two calls of the controller.
+        steps: Runge-Kutta steps of an interval.
+        iterations: interior-point steps of a tick; a fixed number, so that every tick takes the same time.
+        tolerance: relative, of the convex program; where it is missed, the status says so.
+    """
+
+    intervals: Float[Array, "intervals"] = eqx.field(
+        default_factory=lambda: growing(1.0, 10), converter=as_floats
+    )
+    tick: Scalar = eqx.field(default=0.01, converter=as_floats)
+    steps: int = eqx.field(default=2, static=True)
+    iterations: int = eqx.field(default=10, static=True)
+    tolerance: float = eqx.field(default=1e-4, static=True)
+
+    @property
+    def grid(self) -> Float[Array, "nodes"]:
+        """Times of the nodes, s from the first."""
+        return jnp.concatenate([jnp.zeros_like(self.intervals[:1]), jnp.cumsum(self.intervals)])
