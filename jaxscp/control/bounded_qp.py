@@ -10,7 +10,7 @@ works. Iterates start inside all limits and stay there, so that every iterate ma
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.scipy.linalg import cho_factor, cho_solve
+from jax.scipy.linalg import cho_solve
 from jaxtyping import Array, Bool, Float
 
 from jaxscp.core.types import Scalar
@@ -107,7 +107,7 @@ def _mehrotra_step(qp: BoundedQP, limited: Array, count: Scalar, v: Controls, mu
     """The next controls and multipliers."""
     slack = qp.slack(v)
     ratio = multipliers / slack
-    factor = cho_factor(qp.hessian + _weighted_gram(ratio[0] + ratio[1]), lower=True)
+    factor = jnp.linalg.cholesky(qp.hessian + _weighted_gram(ratio[0] + ratio[1]), symmetrize_input=False)
     stationarity = qp.stationarity(v, multipliers)
     mu = jnp.sum(multipliers * slack) / count
 
@@ -115,7 +115,7 @@ def _mehrotra_step(qp: BoundedQP, limited: Array, count: Scalar, v: Controls, mu
         """Newton's direction towards products of multiplier and slack that are smaller by so much."""
         correction = complementarity / slack
         right = -stationarity - _transposed_rows(correction[0] - correction[1])
-        dv = cho_solve(factor, right.ravel()).reshape(v.shape)
+        dv = cho_solve((factor, True), right.ravel()).reshape(v.shape)
         drows = _rows(dv)
         dslack = jnp.where(limited, jnp.stack([drows, -drows]), 0.0)
         return dv, dslack, jnp.where(limited, -correction - ratio * dslack, 0.0)
@@ -159,12 +159,8 @@ def _transposed_rows(y: Rows) -> Controls:
 def _weighted_gram(weights: Rows) -> Float[Array, "variables variables"]:
     """C' diag(weights) C with C the matrix of ``_rows``: tridiagonal for each control."""
     nodes, controls = weights.shape[1:]
-    of_changes = jnp.concatenate([weights[1], jnp.zeros_like(weights[1, :1])])
-    diagonal = weights[0] + of_changes[:-1] + of_changes[1:]
-    beside = -weights[1, 1:]
-    variables = nodes * controls
-    matrix = jnp.diag(diagonal.ravel())
-    if nodes == 1:
-        return matrix
-    off = jnp.diag(beside.ravel(), k=controls)
-    return matrix + off + off.T if variables > controls else matrix
+    after = jnp.concatenate([weights[1, 1:], jnp.zeros_like(weights[1, :1])])
+    eye, above, below = (jnp.eye(nodes, k=k, dtype=weights.dtype)[:, :, None] for k in (0, 1, -1))
+    blocks = eye * (weights[0] + weights[1] + after) - above * after[:, None] - below * after
+    of_controls = jnp.eye(controls, dtype=weights.dtype)[None, :, None, :]
+    return (blocks[:, None] * of_controls).reshape(nodes * controls, -1)

@@ -33,6 +33,12 @@ class DisturbanceModel(eqx.Module):
     effect: Float[Array, "states disturbances"] = eqx.field(converter=as_floats)
     noise: Disturbance = eqx.field(converter=as_floats)
     drift: Disturbance = eqx.field(converter=as_floats)
+    observed: Float[Array, "disturbances states"]
+    """E^+, from ``effect``."""
+
+    def __init__(self, effect, noise, drift):
+        self.effect, self.noise, self.drift = (as_floats(v) for v in (effect, noise, drift))
+        self.observed = jnp.linalg.pinv(self.effect) if self.effect.shape[1] else self.effect.T
 
     @staticmethod
     def of(dynamics: Dynamics) -> "DisturbanceModel":
@@ -58,11 +64,6 @@ class DisturbanceModel(eqx.Module):
             jnp.concatenate([jnp.full(3, 1.0) * mass, 2.0 * moments]),
         )
 
-    @property
-    def observed(self) -> Float[Array, "disturbances states"]:
-        """E^+."""
-        return jnp.linalg.pinv(self.effect) if self.effect.shape[1] else self.effect.T
-
     def gains(self, tick: Scalar | float) -> tuple[Disturbance, Disturbance]:
         """alpha and beta."""
         index = self.drift * tick**1.5 / self.noise
@@ -71,21 +72,6 @@ class DisturbanceModel(eqx.Module):
         s = 2.0 / (w + jnp.sqrt(w**2 - 4.0))
         alpha = 1.0 - s**2
         return alpha, alpha**2 / (2.0 - alpha)
-
-
-class Observer(eqx.Module):
-    """Gains of one tick."""
-
-    effect: Float[Array, "states disturbances"]
-    observed: Float[Array, "disturbances states"]
-    alpha: Disturbance
-    beta: Disturbance
-    tick: Scalar
-
-    @staticmethod
-    def of(model: DisturbanceModel, tick: Scalar | float) -> "Observer":
-        """The observer of a model at a tick in s."""
-        return Observer(model.effect, model.observed, *model.gains(tick), jnp.asarray(tick))
 
 
 class Observed(eqx.Module):
@@ -97,21 +83,20 @@ class Observed(eqx.Module):
     """d"""
 
 
-def update(observer: Observer, before: Observed, expected, last, state) -> Observed:
+def update(model: DisturbanceModel, tick, before: Observed, change, state) -> Observed:
     """The estimate a tick later.
 
     Args:
-        observer: gains.
+        model: effect and noise.
+        tick: s.
         before: estimate of the last tick.
-        expected: (states,) prediction for now from the last tick, with the disturbance.
-        last: (states,) estimate of the last tick.
+        change: (states,) predicted over the last tick from its estimate, with the disturbance.
         state: (states,) estimate of now.
     """
-    y = before.momentum + observer.observed @ (expected - last)
-    innovation = observer.observed @ state - y
-    return Observed(
-        y + observer.alpha * innovation, before.disturbance + observer.beta / observer.tick * innovation
-    )
+    alpha, beta = model.gains(tick)
+    y = before.momentum + model.observed @ change
+    innovation = model.observed @ state - y
+    return Observed(y + alpha * innovation, before.disturbance + beta / tick * innovation)
 
 
 def compensation(dynamics: Dynamics, effect, error, state, control, time) -> Float[Array, "variables d"]:

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 
 from jaxscp.control import bounded_qp, disturbance, subproblem
 from jaxscp.control.actuators import Actuators
-from jaxscp.control.disturbance import DisturbanceModel, Observed, Observer
+from jaxscp.control.disturbance import DisturbanceModel, Observed
 from jaxscp.control.horizon import Horizon
 from jaxscp.control.prediction import Plan, advance, linearise, sensitivities
 from jaxscp.control.reference import SAMPLES, Reference
@@ -158,8 +158,9 @@ class NMPC(eqx.Module):
         expected = advance(self.dynamics, offset, state.estimate, controls, times)
         seen = jnp.all(jnp.isfinite(estimate))
         estimate = jnp.where(seen, estimate, expected)
-        observer = Observer.of(self.disturbances, tick)
-        return estimate, disturbance.update(observer, state.observed, expected, state.estimate, estimate), seen
+        change = expected - state.estimate
+        observed = disturbance.update(self.disturbances, tick, state.observed, change, estimate)
+        return estimate, observed, seen
 
     def _after_delay(self, state: NMPCState, disturbed: Array, estimate: Array, time: Scalar):
         """State and active controls when the next command begins to act."""
