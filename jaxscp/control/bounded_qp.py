@@ -17,6 +17,8 @@ from jaxscp.core.types import Scalar
 
 TO_BOUNDARY = 0.995  # of the step to the nearest limit
 INTERIOR = 0.7  # of the way to the guess, and of the way from the centre to the nearest limit
+LEAST_SLACK = 1e-12  # of numbers of order one
+LEAST_MU = 1e-14  # of the gradient's size: there the iterates stay, as slacks are rounding errors
 FIRST_MU = 1e-2  # of the gradient's size: multiplier times slack at the start
 
 Controls = Float[Array, "nodes controls"]
@@ -44,9 +46,10 @@ class BoundedQP(eqx.Module):
         return _rows(v).at[1, 0].add(-self.before)
 
     def slack(self, v: Controls) -> Sides:
-        """Distances from the limits; one where there is no limit."""
+        """Distances from the limits; one where there is no limit. Rounding makes none of them zero."""
         rows = self.rows(v)
-        return jnp.where(self.limited(), jnp.stack([rows - self.lower, self.upper - rows]), 1.0)
+        distances = jnp.stack([rows - self.lower, self.upper - rows])
+        return jnp.where(self.limited(), jnp.maximum(distances, LEAST_SLACK), 1.0)
 
     def limited(self) -> Bool[Array, "2 2 nodes controls"]:
         """Whether there is a limit."""
@@ -88,6 +91,7 @@ def solve(qp: BoundedQP, guess: Controls, centre: Controls, iterations: int) -> 
         [[3.0]]
     """
     limited = qp.limited()
+    unlimited = ~jnp.any(limited)
     count = jnp.maximum(jnp.sum(limited), 1).astype(qp.gradient.dtype)
     v = _inside(qp, guess, centre)
     cost_gradient = (qp.hessian @ v.ravel()).reshape(v.shape) + qp.gradient
@@ -96,7 +100,9 @@ def solve(qp: BoundedQP, guess: Controls, centre: Controls, iterations: int) -> 
     multipliers = jnp.where(limited, FIRST_MU * scale / slack, 0.0)
 
     def step(iterate, _):
-        return _mehrotra_step(qp, limited, count, *iterate), None
+        improves = jnp.sum(iterate[1] * qp.slack(iterate[0])) > LEAST_MU * scale * count
+        after = _mehrotra_step(qp, limited, count, *iterate)
+        return jax.tree.map(lambda new, old: jnp.where(improves | unlimited, new, old), after, iterate), None
 
     (v, multipliers), _ = jax.lax.scan(step, (v, multipliers), None, length=iterations)
     residual = jnp.max(jnp.abs(qp.stationarity(v, multipliers))) / scale

@@ -12,13 +12,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxscp.control.tracking import Tracking
 from jaxscp.core.arrays import as_floats
 from jaxscp.core.types import Scalar
 from jaxscp.dynamics.base import Dynamics
 from jaxscp.dynamics.rigid_body import RigidBody
 
 Disturbance = Float[Array, "disturbances"]
-DAMPING = 1e-9  # of the mean eigenvalue
+SOFTNESS = 0.1  # tracking cost a second at which the last unit of acceleration is not balanced
 
 
 class DisturbanceModel(eqx.Module):
@@ -99,17 +100,16 @@ def update(model: DisturbanceModel, tick, before: Observed, change, state) -> Ob
     return Observed(y + alpha * innovation, before.disturbance + beta / tick * innovation)
 
 
-def compensation(dynamics: Dynamics, effect, error, state, control, time) -> Float[Array, "variables d"]:
-    """Smallest change of (state, control), for each unit of disturbance, that keeps the state's derivative.
+def compensation(dynamics: Dynamics, model: DisturbanceModel, tracking: Tracking, state, control, time):
+    """Cheapest change of (state, control), for each unit of disturbance, that balances it.
 
-    With A and B the Jacobians of the dynamics, [A B] (dx, du) = -E d. A wind, say, is met by a tilt and more thrust.
-    What the dynamics cannot meet is left (damped least squares). Changes that the error does not see, as of a
-    quaternion's norm, are left out.
+    With A and B the Jacobians of the dynamics, E E^+ (A dx + B du + E d) = 0 at the least tracking cost: a wind is met
+    by a tilt and more thrust. What can be balanced at a high cost only, as by a tilt without thrust, is left in part.
 
     Args:
         dynamics: equations of motion.
-        effect: (states, disturbances) E.
-        error: (state, reference) -> (errors,), of ``Tracking``.
+        model: effect E.
+        tracking: weights; of the state's error, and of the controls.
         state: (states,) of the reference.
         control: (controls,) of the reference.
         time: s.
@@ -119,18 +119,20 @@ def compensation(dynamics: Dynamics, effect, error, state, control, time) -> Flo
 
     Example:
         >>> import jax.numpy as jnp, jaxscp
-        >>> from jaxscp.control.disturbance import compensation
-        >>> from jaxscp.control.tracking import difference
-        >>> effect = jnp.array([[0.0], [1.0]])  # of an acceleration
-        >>> change = compensation(jaxscp.DoubleIntegrator(1), effect, difference, jnp.zeros(2), jnp.zeros(1), 0.0)
-        >>> (change + 0.0).round(6).ravel().tolist()
+        >>> from jaxscp.control.disturbance import DisturbanceModel, compensation
+        >>> force = DisturbanceModel([[0.0], [1.0]], noise=[0.01], drift=[1.0])
+        >>> body, cost = jaxscp.DoubleIntegrator(1), jaxscp.control.Tracking.of(jaxscp.DoubleIntegrator(1))
+        >>> (compensation(body, force, cost, jnp.zeros(2), jnp.zeros(1), 0.0) + 0.0).round(2).ravel().tolist()
         [0.0, 0.0, -1.0]
     """
-    n = state.shape[0]
-    seen = jax.jacfwd(error)(state, state)
-    onto_seen = seen.T @ jnp.linalg.solve(seen @ seen.T, seen)
+    of_error = jax.jacfwd(tracking.error)(state, state)
+    # changes of the state with a unit error each: of a quaternion, those that keep its norm
+    of_unit = of_error.T @ jnp.linalg.inv(of_error @ of_error.T)
     of_state, of_control = jax.jacfwd(lambda x, u: dynamics(x, u, time), argnums=(0, 1))(state, control)
-    jacobian = jnp.concatenate([of_state @ onto_seen, of_control], axis=1)
-    gram = jacobian @ jacobian.T
-    damping = DAMPING * jnp.trace(gram) / n * jnp.eye(n, dtype=gram.dtype)
-    return -jacobian.T @ jnp.linalg.solve(gram + damping, effect)
+    balance = model.effect @ model.observed @ jnp.concatenate([of_state @ of_unit, of_control], axis=1)
+    inverse_weights = 1.0 / jnp.concatenate([tracking.state, tracking.control])
+    gram = (balance * inverse_weights) @ balance.T
+    eye = jnp.eye(gram.shape[0], dtype=gram.dtype)
+    change = -inverse_weights[:, None] * (balance.T @ jnp.linalg.solve(gram + SOFTNESS * eye, model.effect))
+    errors = of_error.shape[0]
+    return jnp.concatenate([of_unit @ change[:errors], change[errors:]])

@@ -207,8 +207,8 @@ class NMPC(eqx.Module):
         times = reference.start + reference.step * jnp.arange(reference.state.shape[0])
 
         def one(state, control, time):
-            model = self.disturbances.effect, self.tracking.error
-            return disturbance.compensation(self.dynamics, *model, state, control, time)
+            model = self.dynamics, self.disturbances, self.tracking
+            return disturbance.compensation(*model, state, control, time)
 
         found = jax.vmap(one)(reference.state, reference.control, times)
         return eqx.tree_at(lambda r: r.compensation, reference, found)
