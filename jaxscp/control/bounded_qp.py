@@ -128,7 +128,8 @@ def _mehrotra_step(qp: BoundedQP, limited: Array, count: Scalar, v: Controls, mu
 
     _, dslack, dmultipliers = direction(multipliers * slack)
     primal, dual = _largest_step(slack, dslack), _largest_step(multipliers, dmultipliers)
-    affine = jnp.sum((slack + primal * dslack) * (multipliers + dual * dmultipliers) * limited) / count
+    products = (slack + primal * dslack) * (multipliers + dual * dmultipliers)
+    affine = jnp.sum(jnp.where(limited, products, 0.0)) / count
     centring = mu * (affine / jnp.where(mu > 0.0, mu, 1.0)) ** 3
     target = multipliers * slack + dslack * dmultipliers - centring
     dv, dslack, dmultipliers = direction(jnp.where(limited, target, 0.0))

@@ -10,10 +10,11 @@ tracking index", 1984).
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxscp.control.tracking import Tracking
-from jaxscp.core.arrays import as_floats
+from jaxscp.core.arrays import as_floats, namespace
 from jaxscp.core.types import Scalar
 from jaxscp.dynamics.base import Dynamics
 from jaxscp.dynamics.rigid_body import RigidBody
@@ -39,13 +40,15 @@ class DisturbanceModel(eqx.Module):
 
     def __init__(self, effect, noise, drift):
         self.effect, self.noise, self.drift = (as_floats(v) for v in (effect, noise, drift))
-        self.observed = jnp.linalg.pinv(self.effect) if self.effect.shape[1] else self.effect.T
+        xp = namespace(self.effect)
+        e = xp.asarray(self.effect)
+        self.observed = as_floats(xp.linalg.solve(e.T @ e, e.T))
 
     @staticmethod
     def of(dynamics: Dynamics) -> "DisturbanceModel":
         """Force in the world (N) and torque in body axes (N m) of a rigid body; no disturbance for others.
 
-        Noise: 2 cm/s and 0.03 rad/s. Drift: weight over 10, and the torque that turns at 2 rad/s^2, after one second.
+        Noise: 2 cm/s and 0.03 rad/s. Drift after one second: 1 m/s^2 and 2 rad/s^2, times mass and inertia.
 
         Example:
             >>> import jaxscp
@@ -53,17 +56,15 @@ class DisturbanceModel(eqx.Module):
             (13, 6)
         """
         if not isinstance(dynamics, RigidBody):
-            return DisturbanceModel(
-                jnp.zeros((dynamics.state_size, 0)), jnp.zeros(0), jnp.zeros(0)
-            )
-        mass, inertia = dynamics.mass, dynamics.inertia
-        effect = jnp.zeros((13, 6)).at[3:6, :3].set(jnp.eye(3) / mass).at[10:, 3:].set(jnp.linalg.inv(inertia))
-        moments = jnp.diag(inertia)
-        return DisturbanceModel(
-            effect,
-            jnp.concatenate([jnp.full(3, 0.02) * mass, 0.03 * moments]),
-            jnp.concatenate([jnp.full(3, 1.0) * mass, 2.0 * moments]),
-        )
+            return DisturbanceModel(np.zeros((dynamics.state_size, 0)), np.zeros(0), np.zeros(0))
+        xp = namespace(dynamics)
+        mass, inertia = xp.asarray(dynamics.mass), xp.asarray(dynamics.inertia)
+        three = np.ones(3)
+        force = xp.concatenate([np.zeros((3, 3)), np.eye(3) / mass, np.zeros((7, 3))])
+        torque = xp.concatenate([np.zeros((10, 3)), xp.linalg.inv(inertia)])
+        sizes = xp.concatenate([three * mass, xp.diag(inertia)])
+        noise, drift = np.repeat([0.02, 0.03], 3), np.repeat([1.0, 2.0], 3)
+        return DisturbanceModel(xp.concatenate([force, torque], axis=1), noise * sizes, drift * sizes)
 
     def gains(self, tick: Scalar | float) -> tuple[Disturbance, Disturbance]:
         """alpha and beta."""

@@ -2,9 +2,10 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
-from jaxscp.core.arrays import as_floats
+from jaxscp.core.arrays import as_floats, floats
 from jaxscp.core.types import Scalar
 
 
@@ -16,8 +17,8 @@ def growing(duration: float, count: int, ratio: float = 1.2) -> Float[Array, "in
         >>> growing(1.0, 4, 2.0).round(3).tolist()
         [0.067, 0.133, 0.267, 0.533]
     """
-    lengths = ratio ** jnp.arange(count, dtype=float)
-    return duration * lengths / jnp.sum(lengths)
+    lengths = ratio ** np.arange(count)
+    return floats(duration * lengths / np.sum(lengths))
 
 
 class Horizon(eqx.Module):

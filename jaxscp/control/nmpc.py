@@ -103,6 +103,7 @@ class NMPC(eqx.Module):
         """The reference of a state at rest, see ``Reference.hold``."""
         return self._with_compensation(Reference.hold(state, control))
 
+    @eqx.filter_jit
     def init(self, reference: Reference, estimate, time: Scalar | float = 0.0, active=None) -> NMPCState:
         """The controller's memory before its first tick.
 
@@ -123,6 +124,7 @@ class NMPC(eqx.Module):
         plan = Plan(begin, state, control.at[0].set(active))
         return NMPCState(plan, active, commands, active, estimate, observed, Status.converged)
 
+    @eqx.filter_jit
     def __call__(
         self, reference: Reference, state: NMPCState, estimate: Float[Array, "states"], time: Scalar | float
     ) -> tuple[NMPCState, Float[Array, "controls"]]:
@@ -202,9 +204,10 @@ class NMPC(eqx.Module):
         times = guess.time + self.horizon.grid
         return self.disturbances.effect @ disturbed, reference.compensated(times, disturbed)
 
+    @eqx.filter_jit
     def _with_compensation(self, reference: Reference) -> Reference:
         """The reference with what meets a disturbance, at every sample."""
-        times = reference.start + reference.step * jnp.arange(reference.state.shape[0])
+        times = reference.start + reference.step * jnp.arange(reference.state.shape[0], dtype=reference.step.dtype)
 
         def one(state, control, time):
             model = self.dynamics, self.disturbances, self.tracking

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxscp.core.arrays import as_floats
@@ -25,6 +26,7 @@ def flight_error(state: Float[Array, "13"], reference: Float[Array, "13"]) -> Fl
 
     Example:
         >>> import jax.numpy as jnp
+import numpy as np
         >>> from jaxscp.control.tracking import flight_error
         >>> level = jnp.zeros(13).at[6].set(1.0)
         >>> flight_error(level.at[2].set(0.5).at[6].set(-1.0), level)[:9].tolist()
@@ -62,9 +64,9 @@ class Tracking(eqx.Module):
         """
         n, m = dynamics.state_size, dynamics.control_size
         if isinstance(dynamics, RigidBody):
-            state = jnp.repeat(jnp.array(FLIGHT_WEIGHTS), 3)
-            return Tracking(state, FINAL * state, jnp.full(m, 0.02), jnp.full(m, 2e-4), flight_error)
-        return Tracking(jnp.ones(n), jnp.ones(n), jnp.full(m, 1e-2), jnp.full(m, 1e-4))
+            state = np.repeat(FLIGHT_WEIGHTS, 3)
+            return Tracking(state, FINAL * state, np.full(m, 0.02), np.full(m, 2e-4), flight_error)
+        return Tracking(np.ones(n), np.ones(n), np.full(m, 1e-2), np.full(m, 1e-4))
 
 
 FLIGHT_WEIGHTS = 60.0, 6.0, 6.0, 0.3
