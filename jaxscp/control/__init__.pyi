@@ -6,6 +6,9 @@ from .horizon import Horizon as Horizon
 from .horizon import growing as growing
 from .nmpc import NMPC as NMPC
 from .nmpc import NMPCState as NMPCState
+from .receding import HeldPlan as HeldPlan
+from .receding import RecedingHorizon as RecedingHorizon
+from .receding import replaced as replaced
 from .reference import Reference as Reference
 from .tracking import Tracking as Tracking
 from .tracking import difference as difference

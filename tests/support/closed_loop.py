@@ -63,7 +63,7 @@ class Plant(eqx.Module):
                 state = state.at[6:10].set(normalised(state[6:10]))
             return (state, after), None
 
-        return jax.lax.scan(step, (state, thrust), jnp.arange(SUBSTEPS) * 1.0)[0]
+        return jax.lax.scan(step, (state, thrust), jnp.arange(SUBSTEPS, dtype=float))[0]
 
 
 class Loop(NamedTuple):
@@ -112,4 +112,4 @@ def fly(nmpc: NMPC, reference: Reference, plant: Plant, loop: Loop, ticks: int, 
         number, noise = at
         return tick(nmpc, reference, plant, loop, number * nmpc.horizon.tick, noise * plant.noise)
 
-    return jax.lax.scan(step, loop, (jnp.arange(ticks) * 1.0, random))[1]
+    return jax.lax.scan(step, loop, (jnp.arange(ticks, dtype=float), random))[1]
