@@ -15,11 +15,11 @@ from jaxtyping import Array, Bool, Float
 
 from jaxscp.core.types import Scalar
 
-TO_BOUNDARY = 0.995  # of the step to the nearest limit
+TO_BOUNDARY = 0.995  # of the step to the nearest limit, and of a full step
 INTERIOR = 0.7  # of the way to the guess, and of the way from the centre to the nearest limit
 LEAST_SLACK = 1e-12  # of numbers of order one
 LEAST_MU = 1e-14  # of the gradient's size: there the iterates stay, as slacks are rounding errors
-FIRST_MU = 1e-2  # of the gradient's size: multiplier times slack at the start
+FIRST_MU = 0.1  # of the gradient's size: multiplier times slack at the start
 
 Controls = Float[Array, "nodes controls"]
 Rows = Float[Array, "2 nodes controls"]
@@ -127,30 +127,32 @@ def _mehrotra_step(qp: BoundedQP, limited: Array, count: Scalar, v: Controls, mu
         return dv, dslack, jnp.where(limited, -correction - ratio * dslack, 0.0)
 
     _, dslack, dmultipliers = direction(multipliers * slack)
-    primal, dual = _largest_step(slack, dslack), _largest_step(multipliers, dmultipliers)
-    products = (slack + primal * dslack) * (multipliers + dual * dmultipliers)
+    length = _step_length(slack, dslack, multipliers, dmultipliers)
+    products = (slack + length * dslack) * (multipliers + length * dmultipliers)
     affine = jnp.sum(jnp.where(limited, products, 0.0)) / count
     centring = mu * (affine / jnp.where(mu > 0.0, mu, 1.0)) ** 3
     target = multipliers * slack + dslack * dmultipliers - centring
     dv, dslack, dmultipliers = direction(jnp.where(limited, target, 0.0))
-    primal = jnp.minimum(TO_BOUNDARY * _largest_step(slack, dslack), 1.0)
-    dual = jnp.minimum(TO_BOUNDARY * _largest_step(multipliers, dmultipliers), 1.0)
-    return v + primal * dv, multipliers + dual * dmultipliers
+    # one length for both: else a quadratic cost's residual would not shrink with the step
+    length = TO_BOUNDARY * _step_length(slack, dslack, multipliers, dmultipliers)
+    return v + length * dv, multipliers + length * dmultipliers
 
 
 def _inside(qp: BoundedQP, guess: Controls, centre: Controls) -> Controls:
     """A point strictly inside all limits, towards the guess."""
     change = _rows(guess - centre)
     dslack = jnp.where(qp.limited(), jnp.stack([change, -change]), 0.0)
-    return centre + jnp.minimum(INTERIOR * _largest_step(qp.slack(centre), dslack), INTERIOR) * (
-        guess - centre
-    )
+    return centre + INTERIOR * _largest_step(qp.slack(centre), dslack) * (guess - centre)
+
+
+def _step_length(slack: Sides, dslack: Sides, multipliers: Sides, dmultipliers: Sides) -> Scalar:
+    """Largest step at which slacks and multipliers stay positive, at most one."""
+    return jnp.minimum(_largest_step(slack, dslack), _largest_step(multipliers, dmultipliers))
 
 
 def _largest_step(values: Sides, change: Sides) -> Scalar:
-    """Largest step up to which the values stay positive, at most 1 / TO_BOUNDARY."""
     falling = change < 0.0
-    return jnp.min(jnp.where(falling, values / jnp.where(falling, -change, 1.0), 1.0 / TO_BOUNDARY))
+    return jnp.min(jnp.where(falling, values / jnp.where(falling, -change, 1.0), 1.0), initial=1.0)
 
 
 def _rows(v: Controls) -> Rows:

@@ -1,0 +1,124 @@
+"""Time and accuracy of a control tick, and tracking of an adaptive plan and of a plan on a uniform mesh.
+
+A tick is one call of a compiled ``NMPC``: 13 states, 4 thrusts, ten intervals in a second, motors with a delay of two
+ticks and a first-order lag, disturbance estimate included. The process runs on one core. Ticks are timed along a flight
+that meets the thrust limits.
+
+The same convex program is solved by OSQP and CLARABEL at tight tolerance. acados is not measured: it has no package on
+the index of Python packages. Its real-time iteration is published with about 2 ms a tick at 20 nodes.
+
+    python -m benchmarks.control [--json] [--ticks 3000]
+"""
+
+import argparse
+import json
+import os
+import time
+from typing import Any
+
+if hasattr(os, "sched_setaffinity"):  # one core, before JAX makes its threads
+    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+
+import jax  # noqa: E402
+
+jax.config.update("jax_enable_x64", True)
+
+import equinox as eqx  # noqa: E402
+import jax.numpy as jnp  # noqa: E402
+import numpy as np  # noqa: E402
+
+import jaxscp  # noqa: E402
+from jaxscp.control import NMPC, Reference  # noqa: E402
+from tests.control.test_bounded_qp import solution_of_clarabel, solution_of_osqp  # noqa: E402
+from tests.support import closed_loop  # noqa: E402
+from tests.support.flights_under_control import (  # noqa: E402
+    ROUGH,
+    UNIFORM,
+    CALM,
+    adaptive_plan,
+    controller,
+    flight_along,
+    program_of,
+    tracking_error,
+    uniform_plan,
+)
+
+def timings(nmpc: NMPC, reference: Reference, ticks: int) -> np.ndarray:
+    """Milliseconds of each tick along a flight; the plant runs between ticks and is not counted."""
+    plant = closed_loop.Plant(nmpc.dynamics, nmpc.actuators, closed_loop.NOISE)
+    control = jax.jit(lambda state, estimate, now: nmpc(reference, state, estimate, now))
+    advance = jax.jit(lambda state, thrust, command, now: plant.advance(state, thrust, command, now, 0.01))
+    length = int(float(reference.step) * (reference.state.shape[0] - 2) * 100)
+    start = reference.state[0]
+    found = []
+    while len(found) < ticks:
+        state, memory = start, nmpc.init(reference, start)
+        thrust = memory.active
+        commands = [thrust] * plant.motors.delay
+        for number in range(length):
+            now = jnp.asarray(0.01 * number)
+            jax.block_until_ready((memory, state))
+            began = time.perf_counter()
+            memory, command = jax.block_until_ready(control(memory, state, now))
+            found.append(1e3 * (time.perf_counter() - began))
+            commands.append(command)
+            state, thrust = advance(state, thrust, commands.pop(0), now)
+    return np.array(found[length:])  # the first flight compiles
+
+
+def accuracy(nmpc: NMPC, reference: Reference) -> dict[str, float]:
+    """Largest difference in N between the thrusts of the tick's program and those of other solvers."""
+    rows: dict[str, list[float]] = {"osqp": [], "clarabel": []}
+    for offset in (0.0, 0.3, -1.0):
+        qp, solution = program_of(nmpc, reference, reference.state[0].at[0].add(offset))
+        for name, solver in (("osqp", solution_of_osqp), ("clarabel", solution_of_clarabel)):
+            rows[name].append(float(np.max(np.abs(solution - solver(qp)))))
+    return {f"qp_difference_{name}_n": max(values) for name, values in rows.items()}
+
+
+def tracking(nmpc: NMPC) -> dict[str, Any]:
+    """Root-mean-square position errors in m along both plans, calm and rough."""
+    found = {}
+    for name, solution in (("adaptive", adaptive_plan()), ("uniform", uniform_plan())):
+        found[f"final_time_{name}_s"] = float(solution.final_time)
+        found[f"status_{name}"] = str(jaxscp.status_names(solution.status))
+        reference = nmpc.follow(solution.trajectory, 0.0, nmpc.dynamics.hover_thrust())
+        for air, plant in (("", CALM), ("_rough", ROUGH)):
+            key = jax.random.key(0) if air else None
+            record = flight_along(nmpc, reference, plant, key)
+            found[f"tracking_rmse_{name}{air}_m"] = float(tracking_error(record, reference))
+    return found
+
+
+def report(ticks: int) -> dict[str, Any]:
+    """All measurements."""
+    nmpc = controller()
+    reference = nmpc.follow(adaptive_plan().trajectory, 0.0, nmpc.dynamics.hover_thrust())
+    times = timings(nmpc, reference, ticks)
+    return {
+        "nmpc_ms_median": float(np.median(times)),
+        "nmpc_ms_p99": float(np.quantile(times, 0.99)),
+        "nmpc_ms_least": float(np.min(times)),
+        "ticks": len(times),
+        "interior_point_steps": nmpc.horizon.iterations,
+        **accuracy(nmpc, reference),
+        **tracking(nmpc),
+    }
+
+
+def main() -> None:
+    """Print the report."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--ticks", type=int, default=3000)
+    options = parser.parse_args()
+    found = report(options.ticks)
+    if options.json:
+        print(json.dumps(found, indent=1))
+    else:
+        for name, value in found.items():
+            print(f"{name:32} {value:.4g}" if isinstance(value, float) else f"{name:32} {value}")
+
+
+if __name__ == "__main__":
+    main()
