@@ -19,11 +19,10 @@ from typing import Any
 if hasattr(os, "sched_setaffinity"):  # one core, before JAX makes its threads
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
 
-import jax  # noqa: E402
+import jax
 
 jax.config.update("jax_enable_x64", True)
 
-import equinox as eqx  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 
@@ -32,9 +31,8 @@ from jaxscp.control import NMPC, Reference  # noqa: E402
 from tests.control.test_bounded_qp import solution_of_clarabel, solution_of_osqp  # noqa: E402
 from tests.support import closed_loop  # noqa: E402
 from tests.support.flights_under_control import (  # noqa: E402
-    ROUGH,
-    UNIFORM,
     CALM,
+    ROUGH,
     adaptive_plan,
     controller,
     flight_along,
@@ -42,6 +40,7 @@ from tests.support.flights_under_control import (  # noqa: E402
     tracking_error,
     uniform_plan,
 )
+
 
 def timings(nmpc: NMPC, reference: Reference, ticks: int) -> np.ndarray:
     """Milliseconds of each tick along a flight; the plant runs between ticks and is not counted."""

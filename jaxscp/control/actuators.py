@@ -67,9 +67,7 @@ class Actuators(eqx.Module):
             tick: s.
         """
         active = as_floats(active)
-        return jnp.clip(
-            active + (as_floats(target) - active) / self._response(tick), self.lower, self.upper
-        )
+        return jnp.clip(active + (as_floats(target) - active) / self._response(tick), self.lower, self.upper)
 
     def _response(self, tick: Scalar | float) -> Scalar:
         """Fraction of a step that is reached within a tick; one without a lag."""

@@ -1,10 +1,10 @@
 """Disturbances that change slowly: their effect, an observer, and the reference under them.
 
 A disturbance d adds E d to the state's derivative. The observed quantity is y = E^+ x: of a rigid body, momentum and
-angular momentum. Between ticks y grows by what the dynamics predict and by tick * d. A steady-state Kalman filter of (y,
-tick * d), with white noise on y and a random walk of d, has the gains alpha and beta = alpha^2 / (2 - alpha), where
-alpha follows from Lambda = (change of tick * d a tick) / (noise of y) by Lambda = beta / sqrt(1 - alpha) (Kalata, "The
-tracking index", 1984).
+angular momentum. In a tick, y grows by the prediction, which contains tick * d. A Kalman filter of (y, tick * d) has
+white noise on y and a random walk of d. Its steady-state gains are alpha and beta = alpha^2 / (2 - alpha). With Lambda
+the ratio of a tick's change of tick * d to the noise of y, Lambda = beta / sqrt(1 - alpha) (Kalata, "The tracking index:
+a generalized parameter for alpha-beta and alpha-beta-gamma target trackers", 1984).
 """
 
 import equinox as eqx

@@ -1,12 +1,10 @@
 """Nonlinear model predictive control by the real-time iteration.
 
-Each tick linearises the horizon about the shifted plan of the last tick, and solves one convex program: one Gauss-Newton
-step of the tracking problem (Diehl, Bock and Schloeder, "A real-time iteration scheme for nonlinear optimization in
-optimal feedback control", 2005; Gros, Zanon, Quirynen, Bemporad and Diehl, "From linear to nonlinear MPC: bridging the
-gap via the real-time iteration", 2020).
+Each tick linearises the horizon about the shifted plan of the last tick, and solves one convex program. This is one
+Gauss-Newton step of the tracking problem (Diehl, Bock and Schloeder, "A real-time iteration scheme for nonlinear
+optimization in optimal feedback control", 2005; Gros, Zanon, Quirynen, Bemporad and Diehl, "From linear to nonlinear
+MPC: bridging the gap via the real-time iteration", 2020).
 """
-
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -20,7 +18,6 @@ from jaxscp.control.horizon import Horizon
 from jaxscp.control.prediction import Plan, advance, linearise, sensitivities
 from jaxscp.control.reference import SAMPLES, Reference
 from jaxscp.control.tracking import Tracking
-from jaxscp.core.arrays import as_floats
 from jaxscp.core.status import Status, StatusCode
 from jaxscp.core.types import Flag, Scalar
 from jaxscp.dynamics.base import Dynamics
@@ -207,7 +204,9 @@ class NMPC(eqx.Module):
     @eqx.filter_jit
     def _with_compensation(self, reference: Reference) -> Reference:
         """The reference with what meets a disturbance, at every sample."""
-        times = reference.start + reference.step * jnp.arange(reference.state.shape[0], dtype=reference.step.dtype)
+        times = reference.start + reference.step * jnp.arange(
+            reference.state.shape[0], dtype=reference.step.dtype
+        )
 
         def one(state, control, time):
             model = self.dynamics, self.disturbances, self.tracking

@@ -47,9 +47,7 @@ class HeldPlan(eqx.Module):
         columns = jax.vmap(lambda values: jnp.interp(new, old, values), in_axes=1, out_axes=1)
         dilation = (1.0 - tau) * jnp.interp(new, old, plan.dilation)
         state, control = columns(plan.state), columns(plan.control)
-        return Trajectory(
-            node_times(dilation), state, control, dilation, plan.zero_order_hold, plan.dynamics
-        )
+        return Trajectory(node_times(dilation), state, control, dilation, plan.zero_order_hold, plan.dynamics)
 
     def state_at(self, time: Scalar | float) -> Float[Array, "states"]:
         """State that the plan has at a time, held at its ends; where a new plan may begin.

@@ -58,7 +58,9 @@ class Reference(eqx.Module):
         state = jnp.concatenate([found.state, found.state[-1:]])
         control = jnp.concatenate([found.control, last[None]])
         step = trajectory.time[-1] / (samples - 1)
-        return Reference(jnp.asarray(start, state.dtype), step, state, control, _no_compensation(state, control))
+        return Reference(
+            jnp.asarray(start, state.dtype), step, state, control, _no_compensation(state, control)
+        )
 
     @staticmethod
     def hold(state, control) -> "Reference":

@@ -15,7 +15,12 @@ from jaxscp.control.tracking import Tracking
 
 
 def tracking_qp(
-    tracking: Tracking, actuators: Actuators, plan: Plan, reference, sensitivities, grid: Float[Array, "nodes"]
+    tracking: Tracking,
+    actuators: Actuators,
+    plan: Plan,
+    reference,
+    sensitivities,
+    grid: Float[Array, "nodes"],
 ) -> BoundedQP:
     """Gauss-Newton program in the controls of all nodes after the first.
 

@@ -26,7 +26,6 @@ def flight_error(state: Float[Array, "13"], reference: Float[Array, "13"]) -> Fl
 
     Example:
         >>> import jax.numpy as jnp
-import numpy as np
         >>> from jaxscp.control.tracking import flight_error
         >>> level = jnp.zeros(13).at[6].set(1.0)
         >>> flight_error(level.at[2].set(0.5).at[6].set(-1.0), level)[:9].tolist()

@@ -8,7 +8,7 @@ import pytest
 from scipy.linalg import solve_discrete_are
 
 import jaxscp
-from jaxscp.control import DisturbanceModel, NMPC, Actuators, Tracking
+from jaxscp.control import NMPC, Actuators, DisturbanceModel, Tracking
 from jaxscp.control.disturbance import Observed, compensation, update
 
 TICK = 0.01
@@ -63,4 +63,3 @@ def test_dynamics_without_disturbances_have_none():
     nmpc = NMPC(jaxscp.DoubleIntegrator(1), Actuators([-1.0], [1.0]))
     target = nmpc.hold(jnp.zeros(2), jnp.zeros(1))
     assert nmpc.init(target, jnp.zeros(2)).disturbance.shape == (0,)
-

@@ -56,7 +56,9 @@ def test_the_vertical_loop_is_stable_against_suction():
 
 @pytest.mark.parametrize("fraction", [0.9, 1.1])
 def test_a_hover_has_no_offset_under_wind_and_another_mass(fraction):
-    plant = Plant(heavy(fraction), MOTORS, NOISE, suction, jnp.array([1.0, 1e9]))  # a constant force downwards
+    plant = Plant(
+        heavy(fraction), MOTORS, NOISE, suction, jnp.array([1.0, 1e9])
+    )  # a constant force downwards
     record = flight(NMPC, hold(1.0), plant, at(1.0))
     np.testing.assert_allclose(record.state[-1, :3], [0.0, 0.0, 1.0], atol=1e-3)
 

@@ -3,7 +3,6 @@
 import functools
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -58,7 +57,9 @@ def adaptive_plan():
 def uniform_plan():
     """The plan whose nodes are at equal distances in time."""
     limits = jnp.asarray(0.99 * UNIFORM_TIME), jnp.asarray(1.01 * UNIFORM_TIME)
-    return jaxscp.Planner(nodes=30)(eqx.tree_at(lambda s: (s.dilation_min, s.dilation_max), scenario(), limits))
+    return jaxscp.Planner(nodes=30)(
+        eqx.tree_at(lambda s: (s.dilation_min, s.dilation_max), scenario(), limits)
+    )
 
 
 @eqx.filter_jit
