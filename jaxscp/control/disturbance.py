@@ -3,8 +3,8 @@
 A disturbance d adds E d to the state's derivative. The observed quantity is y = E^+ x: of a rigid body, momentum and
 angular momentum. In a tick, y grows by the prediction, which contains tick * d. A Kalman filter of (y, tick * d) has
 white noise on y and a random walk of d. Its steady-state gains are alpha and beta = alpha^2 / (2 - alpha). With Lambda
-the ratio of a tick's change of tick * d to the noise of y, Lambda = beta / sqrt(1 - alpha) (Kalata, "The tracking index:
-a generalized parameter for alpha-beta and alpha-beta-gamma target trackers", 1984).
+the ratio of a tick's change of tick * d to the noise of y, Lambda = beta / sqrt(1 - alpha) (Kalata, "The tracking
+index: a generalized parameter for alpha-beta and alpha-beta-gamma target trackers", 1984).
 """
 
 import equinox as eqx

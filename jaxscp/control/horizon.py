@@ -37,7 +37,7 @@ class Horizon(eqx.Module):
     )
     tick: Scalar = eqx.field(default=0.01, converter=as_floats)
     steps: int = eqx.field(default=2, static=True)
-    iterations: int = eqx.field(default=10, static=True)
+    iterations: int = eqx.field(default=7, static=True)
     tolerance: float = eqx.field(default=1e-4, static=True)
 
     @property

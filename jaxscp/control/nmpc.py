@@ -187,8 +187,9 @@ class NMPC(eqx.Module):
         qp = subproblem.tracking_qp(self.tracking, self.actuators, guess, target, found, horizon.grid)
         centre = subproblem.centre(self.actuators, guess.control[0], horizon.grid)
         solution = bounded_qp.solve(qp, guess.control[1:], centre, horizon.iterations)
-        change = solution.v - guess.control[1:]
-        states = guess.state[1:] + found[0] + jnp.einsum("ksjc,jc->ks", found[1], change)
+        change = (solution.v - guess.control[1:]).ravel()
+        moved = found[..., 1:].reshape(-1, change.shape[0]) @ change
+        states = guess.state[1:] + found[..., 0] + moved.reshape(found.shape[:2])
         finite = jnp.all(jnp.isfinite(states)) & jnp.all(jnp.isfinite(solution.v))
         keep = lambda new, old: old.at[1:].set(jnp.where(finite, new, old[1:]))  # noqa: E731
         plan = Plan(guess.time, keep(states, guess.state), keep(solution.v, guess.control))

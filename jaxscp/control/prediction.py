@@ -27,7 +27,9 @@ class Plan(eqx.Module):
             grid: of the nodes, s from the first.
         """
         elapsed = jnp.clip(times - self.time, 0.0, grid[-1])
-        i = jnp.clip(jnp.searchsorted(grid, elapsed, side="right") - 1, 0, grid.shape[0] - 2)
+        i = jnp.clip(
+            jnp.searchsorted(grid, elapsed, side="right", method="compare_all") - 1, 0, grid.shape[0] - 2
+        )
         fraction = ((elapsed - grid[i]) / (grid[i + 1] - grid[i]))[:, None]
         between = lambda v: v[i] + fraction * (v[i + 1] - v[i])  # noqa: E731
         return between(self.state), between(self.control)
@@ -104,24 +106,21 @@ def _variables(states: Array, controls: Array, times: Array) -> Float[Array, "in
     return jnp.concatenate([states, *(v for u, t in ends for v in (u, length, t[:, None]))], axis=1)
 
 
-def sensitivities(linearisation: Linearisation) -> tuple[Array, Array]:
-    """Deviations of the nodes after the first: those without change of control, and their Jacobian in the controls.
+def sensitivities(linearisation: Linearisation) -> Float[Array, "intervals states columns"]:
+    """States of the nodes after the first, as functions of the controls after the first: condensing.
 
-    The first node's state and controls are given.
-
-    Returns:
-        (intervals, states) and (intervals, states, intervals, controls), zero above the diagonal.
+    The first node's state and controls are given. Columns are (deviation without a change of the controls; derivative
+    in the controls of all nodes, one after the other), zero for later controls.
     """
     count, _, controls = linearisation.first.shape
     parts = linearisation.state, linearisation.first, linearisation.last, linearisation.defect
-    deviation, jacobian = linearisation.defect[0], linearisation.last[0]
-    found = [(deviation, jacobian)]
+    columns = jnp.concatenate([linearisation.defect[0][:, None], linearisation.last[0]], axis=1)
+    found = [columns]
     # not a scan: later nodes depend on more controls, and small products without a loop take half the time
     for a, first, last, defect in zip(*(part[1:] for part in parts), strict=True):
-        deviation = a @ deviation + defect
-        moved = a @ jacobian
-        recent = moved[:, -controls:] + first
-        jacobian = jnp.concatenate([moved[:, :-controls], recent, last], axis=1)
-        found.append((deviation, jacobian))
-    full = [jnp.pad(j, ((0, 0), (0, count * controls - j.shape[1]))) for _, j in found]
-    return jnp.stack([d for d, _ in found]), jnp.stack(full).reshape(count, -1, count, controls)
+        moved = a @ columns
+        deviation, recent = moved[:, :1] + defect[:, None], moved[:, -controls:] + first
+        columns = jnp.concatenate([deviation, moved[:, 1:-controls], recent, last], axis=1)
+        found.append(columns)
+    width = 1 + count * controls
+    return jnp.stack([jnp.pad(c, ((0, 0), (0, width - c.shape[1]))) for c in found])

@@ -70,8 +70,8 @@ class Reference(eqx.Module):
             state: (states,); of a vehicle at rest, ``jaxscp.at_rest(position).vector()``.
             control: (controls,) that keep it there, ``body.hover_thrust()``.
         """
-        rows = jax.tree.map(lambda v: jnp.stack([v, v]), (jnp.asarray(state), jnp.asarray(control)))
-        return Reference(jnp.zeros(()), jnp.ones(()), *rows, _no_compensation(*rows))
+        states, controls = (jnp.stack([v, v]) for v in (jnp.asarray(state), jnp.asarray(control)))
+        return Reference(jnp.zeros(()), jnp.ones(()), states, controls, _no_compensation(states, controls))
 
     def at(self, times) -> tuple[Float[Array, "*times states"], Float[Array, "*times controls"]]:
         """States and controls at times, linear between samples.

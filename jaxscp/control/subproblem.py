@@ -29,12 +29,11 @@ def tracking_qp(
         actuators: limits.
         plan: nodes of the linearisation.
         reference: (nodes, states) and (nodes, controls) to follow.
-        sensitivities: of the states after the first, by ``prediction.sensitivities``.
+        sensitivities: (intervals, states, columns), by ``prediction.sensitivities``.
         grid: of the nodes, s from the first.
     """
     lengths = jnp.diff(grid)
     states, controls = reference
-    deviation, jacobian = sensitivities
 
     def error(state, target):
         value = lambda x: tracking.error(x, target)  # noqa: E731
@@ -45,18 +44,17 @@ def tracking_qp(
     share = 0.5 * (lengths + jnp.append(lengths[1:], 0.0))
     weight = share[:, None] * tracking.state
     root = jnp.sqrt(weight.at[-1].add(tracking.final))
-    count, n = deviation.shape
-    variables = plan.control[1:].size
-    rows = (root[:, :, None] * (of_state @ jacobian.reshape(count, n, variables))).reshape(-1, variables)
-    at_zero = jnp.einsum("kes,ks->ke", of_state, deviation - _times(jacobian, plan.control[1:]))
-    residual = (root * (value + at_zero)).ravel()
-    hessian, gradient = _control_cost(tracking, lengths, controls, plan.control[0])
-    gradient = gradient + (rows.T @ residual).reshape(gradient.shape)
+    columns = root[:, :, None] * (of_state @ sensitivities).at[:, :, 0].add(value)
+    columns = columns.reshape(-1, columns.shape[2])
+    residual, rows = columns[:, 0], columns[:, 1:]
+    tracked = rows.T @ rows
+    of_controls, gradient = _control_cost(tracking, lengths, controls, plan.control[0])
+    at_plan = rows.T @ residual - tracked @ plan.control[1:].ravel()
     change = lengths[:, None] * jnp.broadcast_to(actuators.rate, plan.control[0].shape)
     limits = lambda bound: jnp.broadcast_to(bound, change.shape)  # noqa: E731
     return BoundedQP(
-        hessian + rows.T @ rows,
-        gradient,
+        of_controls + tracked,
+        gradient + at_plan.reshape(gradient.shape),
         plan.control[0],
         jnp.stack([limits(actuators.lower), -change]),
         jnp.stack([limits(actuators.upper), change]),
@@ -76,10 +74,6 @@ def centre(actuators: Actuators, before: Float[Array, "controls"], grid: Array) 
     away = jnp.where(bounded, middle - before, 0.0)
     reach = 0.5 * actuators.rate * grid[1:, None]
     return before + jnp.clip(away, -reach, reach)
-
-
-def _times(jacobian: Array, controls: Array) -> Float[Array, "intervals states"]:
-    return jnp.einsum("ksjc,jc->ks", jacobian, controls)
 
 
 def _control_cost(tracking: Tracking, lengths: Array, reference: Array, before: Array):

@@ -13,6 +13,7 @@ from tests.support.closed_loop import NOISE, Plant, suction
 from tests.support.flights_under_control import (
     AIRFRAME,
     CALM,
+    HOVER,
     MOTORS,
     ROUGH,
     adaptive_plan,
@@ -26,7 +27,6 @@ from tests.support.flights_under_control import (
 )
 
 NMPC = controller()
-HOVER = jnp.full(4, float(AIRFRAME.body.mass) * 9.81 / 4)
 SUCTION = 2.9, 0.25  # N, m: a stiffness of -11.6 N/m at the deck
 SAME_THRUST = 1e-4  # N: the interior point's tolerance of a tick, 1e-4 of the gradient
 

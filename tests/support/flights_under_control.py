@@ -15,6 +15,7 @@ from tests.support.closed_loop import NOISE, Plant, Record, wind
 AIRFRAME = jaxscp.airframes.paper_mav()
 MOTORS = Actuators(AIRFRAME.thrust_min, AIRFRAME.thrust_max, rate=80.0, time_constant=0.03, delay=2)
 """Lag 30 ms, delay 20 ms."""
+HOVER = jnp.full(4, float(AIRFRAME.body.mass) * 9.81 / 4)
 RESERVE = 0.5, 4.3
 """N: limits of the plan. The motors give 0.3 to 5 N: the rest is for tracking."""
 UNIFORM_TIME = 3.6
@@ -32,7 +33,7 @@ ROUGH = Plant(heavy(1.1), MOTORS, NOISE, wind, jnp.array([1.0, 0.5, 0.0]))
 """A tenth heavier than the model, in a wind that pushes with 1.1 N and gusts."""
 
 
-def controller(iterations=8) -> NMPC:
+def controller(iterations=7) -> NMPC:
     """The controller of all flights."""
     return NMPC(AIRFRAME.body, MOTORS, horizon=Horizon(iterations=iterations))
 
