@@ -42,7 +42,6 @@ from tests.support.flights_under_control import (  # noqa: E402
     uniform_plan,
 )
 
-
 EXACT = 14  # interior-point steps: to rounding
 
 

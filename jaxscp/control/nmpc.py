@@ -61,12 +61,12 @@ class NMPC(eqx.Module):
         horizon: grid, tick and work.
 
     Example:
-        >>> import jax, jax.numpy as jnp, jaxscp
+        >>> import jax.numpy as jnp, jaxscp
         >>> from jaxscp.control import NMPC, Actuators
         >>> nmpc = NMPC(jaxscp.DoubleIntegrator(1), Actuators([-2.0], [2.0]))
         >>> target = nmpc.hold(jnp.zeros(2), jnp.zeros(1))
         >>> away = jnp.array([1.0, 0.0])
-        >>> state, command = jax.jit(nmpc)(target, nmpc.init(target, away), away, 0.0)
+        >>> state, command = nmpc(target, nmpc.init(target, away), away, 0.0)
         >>> bool(command[0] < 0.0), jaxscp.status_names(state.status)
         (True, 'converged')
     """
@@ -190,7 +190,8 @@ class NMPC(eqx.Module):
         change = (solution.v - guess.control[1:]).ravel()
         moved = found[..., 1:].reshape(-1, change.shape[0]) @ change
         states = guess.state[1:] + found[..., 0] + moved.reshape(found.shape[:2])
-        finite = jnp.all(jnp.isfinite(states)) & jnp.all(jnp.isfinite(solution.v))
+        # the residual is not finite if the program was not
+        finite = jnp.all(jnp.isfinite(states)) & jnp.isfinite(solution.residual)
         keep = lambda new, old: old.at[1:].set(jnp.where(finite, new, old[1:]))  # noqa: E731
         plan = Plan(guess.time, keep(states, guess.state), keep(solution.v, guess.control))
         exact = jnp.maximum(solution.residual, solution.complementarity) <= horizon.tolerance

@@ -28,7 +28,7 @@ def flight_error(state: Float[Array, "13"], reference: Float[Array, "13"]) -> Fl
         >>> import jax.numpy as jnp
         >>> from jaxscp.control.tracking import flight_error
         >>> level = jnp.zeros(13).at[6].set(1.0)
-        >>> flight_error(level.at[2].set(0.5).at[6].set(-1.0), level)[:9].tolist()
+        >>> (flight_error(level.at[2].set(0.5).at[6].set(-1.0), level)[:9] + 0.0).tolist()
         [0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
     """
     turn = 2.0 * rotations.attitude_error(state[6:10], reference[6:10])
