@@ -40,6 +40,12 @@ class Horizon(eqx.Module):
     iterations: int = eqx.field(default=7, static=True)
     tolerance: float = eqx.field(default=1e-4, static=True)
 
+    def __check_init__(self):
+        if self.iterations < 1 or self.steps < 1:
+            raise ValueError(
+                f"iterations, steps: one or more are needed, got {self.iterations} and {self.steps}"
+            )
+
     @property
     def grid(self) -> Float[Array, "nodes"]:
         """Times of the nodes, s from the first."""

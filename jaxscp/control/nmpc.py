@@ -21,6 +21,7 @@ from jaxscp.control.tracking import Tracking
 from jaxscp.core.status import Status, StatusCode
 from jaxscp.core.types import Flag, Scalar
 from jaxscp.dynamics.base import Dynamics
+from jaxscp.problem.errors import InvalidProblem
 from jaxscp.problem.trajectory import Trajectory
 
 
@@ -60,6 +61,9 @@ class NMPC(eqx.Module):
         disturbances: ``DisturbanceModel.of(dynamics)`` by default.
         horizon: grid, tick and work.
 
+    Raises:
+        InvalidProblem: if the sizes of the parts disagree; the message names the field.
+
     Example:
         >>> import jax.numpy as jnp, jaxscp
         >>> from jaxscp.control import NMPC, Actuators
@@ -89,6 +93,27 @@ class NMPC(eqx.Module):
         self.tracking = Tracking.of(dynamics) if tracking is None else tracking
         self.disturbances = DisturbanceModel.of(dynamics) if disturbances is None else disturbances
         self.horizon = Horizon() if horizon is None else horizon
+        self._check()
+
+    def _check(self) -> None:
+        """Raise an error that names the field, if sizes disagree."""
+        n, m = self.dynamics.state_size, self.dynamics.control_size
+        rows = self.disturbances.effect.shape[0]
+        sizes = (
+            ("actuators.lower", self.actuators.lower.shape, (m,), "controls of the dynamics"),
+            ("tracking.control", self.tracking.control.shape, (m,), "controls of the dynamics"),
+            ("tracking.control_rate", self.tracking.control_rate.shape, (m,), "controls of the dynamics"),
+            (
+                "tracking.final",
+                self.tracking.final.shape,
+                self.tracking.state.shape,
+                "weights in tracking.state",
+            ),
+            ("disturbances.effect", (rows,), (n,), "rows, the states of the dynamics"),
+        )
+        for field, found, expected, meaning in sizes:
+            if found != expected:
+                raise InvalidProblem(f"{field}: expected {expected[0]} {meaning}, got shape {found}")
 
     def follow(
         self, trajectory: Trajectory, start: Scalar | float = 0.0, final_control=None, samples: int = SAMPLES
@@ -100,7 +125,6 @@ class NMPC(eqx.Module):
         """The reference of a state at rest, see ``Reference.hold``."""
         return self._with_compensation(Reference.hold(state, control))
 
-    @eqx.filter_jit
     def init(self, reference: Reference, estimate, time: Scalar | float = 0.0, active=None) -> NMPCState:
         """The controller's memory before its first tick.
 
@@ -110,10 +134,13 @@ class NMPC(eqx.Module):
             time: s, of the first tick.
             active: (controls,) that act now, within their bounds; those of the reference by default.
         """
-        begin = jnp.asarray(time, dtype=self.horizon.grid.dtype)
-        estimate = jnp.asarray(estimate)
+        begin = jnp.asarray(time, dtype=reference.state.dtype)
+        return self._init(reference, jnp.asarray(estimate), begin, active)
+
+    @eqx.filter_jit
+    def _init(self, reference: Reference, estimate: Array, begin: Scalar, active: Array | None) -> NMPCState:
         state, control = reference.at(begin + self.horizon.grid)
-        active = control[0] if active is None else jnp.asarray(active)
+        active = control[0] if active is None else active
         active = jnp.clip(active, self.actuators.lower, self.actuators.upper)
         commands = jnp.tile(active, (self.actuators.delay, 1))
         disturbances = self.disturbances.effect.shape[1]
@@ -121,7 +148,6 @@ class NMPC(eqx.Module):
         plan = Plan(begin, state, control.at[0].set(active))
         return NMPCState(plan, active, commands, active, estimate, observed, Status.converged)
 
-    @eqx.filter_jit
     def __call__(
         self, reference: Reference, state: NMPCState, estimate: Float[Array, "states"], time: Scalar | float
     ) -> tuple[NMPCState, Float[Array, "controls"]]:
@@ -136,7 +162,11 @@ class NMPC(eqx.Module):
         Returns:
             The controller's memory, and the (controls,) command, within its bounds.
         """
-        time = jnp.asarray(time, dtype=estimate.dtype)
+        # a Python number would be a constant of the program, which then compiled for each tick
+        return self._tick(reference, state, estimate, jnp.asarray(time, dtype=estimate.dtype))
+
+    @eqx.filter_jit
+    def _tick(self, reference: Reference, state: NMPCState, estimate: Array, time: Scalar):
         estimate, observed, seen = self._observe(state, estimate, time)
         begin, active = self._after_delay(state, observed.disturbance, estimate, time)
         guess = self._shifted(state.plan, begin, active, time)

@@ -112,6 +112,15 @@ def test_too_few_iterations_are_said_and_still_keep_the_limits():
     assert float(jnp.abs(command)[0]) <= 2.0
 
 
+def test_wrong_sizes_name_the_field():
+    with pytest.raises(jaxscp.InvalidProblem, match=r"actuators\.lower: expected 1 controls"):
+        NMPC(CART, Actuators([0.0, 0.0], [1.0, 1.0]))
+    with pytest.raises(jaxscp.InvalidProblem, match=r"tracking\.control: "):
+        NMPC(CART, ACTUATORS, Tracking([1.0, 1.0], [1.0, 1.0], [1.0, 1.0], [1.0]))
+    with pytest.raises(ValueError, match="iterations"):
+        Horizon(iterations=0)
+
+
 @pytest.mark.slow
 def test_a_batch_of_flights_equals_single_ones():
     starts = jnp.asarray(np.random.default_rng(1).uniform(-1.0, 1.0, (64, 2)))
