@@ -3,8 +3,8 @@
     minimise  1/2 v' H v + g' v   subject to   lower <= (v_k, v_k - v_{k-1}) <= upper,   k = 1..N,  v_0 given
 
 A primal-dual interior point with Mehrotra's predictor and corrector ("On the implementation of a primal-dual interior
-point method", 1992). The number of steps is fixed: the time of a call does not depend on the data, and reverse mode
-works. Iterates start inside all limits and stay there, so that every iterate may be applied.
+point method", 1992). The number of steps is bounded, and so is the time of a call; reverse mode works. Iterates start
+inside all limits and stay there, so that every iterate may be applied.
 """
 
 import equinox as eqx
@@ -18,7 +18,8 @@ from jaxscp.core.types import Scalar
 TO_BOUNDARY = 0.995  # of the step to the nearest limit, and of a full step
 INTERIOR = 0.7  # of the way to the guess, and of the way from the centre to the nearest limit
 LEAST_SLACK = 1e-12  # of numbers of order one
-LEAST_MU = 1e-14  # of the gradient's size: there the iterates stay, as slacks are rounding errors
+LEAST_MU = 1e-14  # of the gradient's size: the least complementarity that is asked for
+EXACT = 1e-13
 FIRST_MU = 0.1  # of the gradient's size: multiplier times slack at the start
 
 Controls = Float[Array, "nodes controls"]
@@ -73,14 +74,17 @@ class QPSolution(eqx.Module):
     """Mean of multiplier times slack, relative to the cost's gradient."""
 
 
-def solve(qp: BoundedQP, guess: Controls, centre: Controls, iterations: int) -> QPSolution:
-    """Solution by a fixed number of interior-point steps.
+def solve(
+    qp: BoundedQP, guess: Controls, centre: Controls, iterations: int, tolerance: float = EXACT
+) -> QPSolution:
+    """Solution by at most so many interior-point steps.
 
     Args:
         qp: the program.
         guess: controls, within the limits or not.
         centre: controls strictly inside all limits.
-        iterations: interior-point steps.
+        iterations: most interior-point steps.
+        tolerance: relative residual and complementarity at which the steps end.
 
     Example:
         >>> import jax.numpy as jnp
@@ -91,7 +95,6 @@ def solve(qp: BoundedQP, guess: Controls, centre: Controls, iterations: int) -> 
         [[3.0]]
     """
     limited = qp.limited()
-    unlimited = ~jnp.any(limited)
     count = jnp.maximum(jnp.sum(limited), 1).astype(qp.gradient.dtype)
     v = _inside(qp, guess, centre)
     cost_gradient = (qp.hessian @ v.ravel()).reshape(v.shape) + qp.gradient
@@ -100,13 +103,21 @@ def solve(qp: BoundedQP, guess: Controls, centre: Controls, iterations: int) -> 
     multipliers = jnp.where(limited, FIRST_MU * scale / slack, 0.0)
 
     def step(iterate, _):
-        improves = jnp.sum(iterate[1] * qp.slack(iterate[0])) > LEAST_MU * scale * count
-        after = _mehrotra_step(qp, limited, count, *iterate)
-        return jax.tree.map(lambda new, old: jnp.where(improves | unlimited, new, old), after, iterate), None
+        residual, complementarity = _relative(qp, *iterate, count, scale)
+        # beyond this slacks are rounding errors
+        ended = (residual <= tolerance) & (complementarity <= jnp.maximum(tolerance, LEAST_MU))
+        # reverse mode works through a scan, but not through a loop that ends early
+        newton = lambda iterate: _mehrotra_step(qp, limited, count, *iterate)  # noqa: E731
+        return jax.lax.cond(ended, lambda iterate: iterate, newton, iterate), None
 
     (v, multipliers), _ = jax.lax.scan(step, (v, multipliers), None, length=iterations)
+    return QPSolution(v, multipliers, *_relative(qp, v, multipliers, count, scale))
+
+
+def _relative(qp: BoundedQP, v: Controls, multipliers: Sides, count: Scalar, scale: Scalar):
+    """Residual and complementarity, relative to the cost's gradient."""
     residual = jnp.max(jnp.abs(qp.stationarity(v, multipliers))) / scale
-    return QPSolution(v, multipliers, residual, jnp.sum(multipliers * qp.slack(v)) / (count * scale))
+    return residual, jnp.sum(multipliers * qp.slack(v)) / (count * scale)
 
 
 def _mehrotra_step(qp: BoundedQP, limited: Array, count: Scalar, v: Controls, multipliers: Sides):

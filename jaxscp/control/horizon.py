@@ -28,8 +28,9 @@ class Horizon(eqx.Module):
         intervals: (intervals,) lengths in s; a second in ten intervals that grow, by default.
         tick: s between two calls of the controller.
         steps: Runge-Kutta steps of an interval.
-        iterations: interior-point steps of a tick; a fixed number, so that every tick takes the same time.
-        tolerance: relative, of the convex program; where it is missed, the status says so.
+        iterations: most interior-point steps of a tick: they bound its time.
+        tolerance: relative, of the convex program; where it is missed, the status says so. For derivatives that agree
+            with differences choose 1e-10, and more iterations.
     """
 
     intervals: Float[Array, "intervals"] = eqx.field(

@@ -24,6 +24,8 @@ from jaxscp.dynamics.base import Dynamics
 from jaxscp.problem.errors import InvalidProblem
 from jaxscp.problem.trajectory import Trajectory
 
+END = 0.01  # of the tolerance: there the interior point ends
+
 
 class NMPCState(eqx.Module):
     """Memory of the controller."""
@@ -216,7 +218,8 @@ class NMPC(eqx.Module):
         found = sensitivities(linear)
         qp = subproblem.tracking_qp(self.tracking, self.actuators, guess, target, found, horizon.grid)
         centre = subproblem.centre(self.actuators, guess.control[0], horizon.grid)
-        solution = bounded_qp.solve(qp, guess.control[1:], centre, horizon.iterations)
+        end = END * horizon.tolerance
+        solution = bounded_qp.solve(qp, guess.control[1:], centre, horizon.iterations, end)
         change = (solution.v - guess.control[1:]).ravel()
         moved = found[..., 1:].reshape(-1, change.shape[0]) @ change
         states = guess.state[1:] + found[..., 0] + moved.reshape(found.shape[:2])

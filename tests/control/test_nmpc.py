@@ -27,7 +27,7 @@ PENDULUM = jaxscp.Dynamics.of(pendulum, states=2, controls=1, parameters=jnp.asa
 
 def controller(weights=None, dynamics=CART, actuators=ACTUATORS):
     tracking = Tracking([10.0, 1.0], [10.0, 5.0], [0.01], [1e-4]) if weights is None else weights
-    return NMPC(dynamics, actuators, tracking, horizon=Horizon(iterations=10))
+    return NMPC(dynamics, actuators, tracking, horizon=Horizon(iterations=12, tolerance=1e-10))
 
 
 @eqx.filter_jit
