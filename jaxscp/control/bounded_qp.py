@@ -3,7 +3,7 @@
     minimise  1/2 v' H v + g' v   subject to   lower <= (v_k, v_k - v_{k-1}) <= upper,   k = 1..N,  v_0 given
 
 A primal-dual interior point with Mehrotra's predictor and corrector ("On the implementation of a primal-dual interior
-point method", 1992). The number of steps is bounded, and so is the time of a call; reverse mode works. Iterates start
+point method", 1992). A limit of the steps bounds the time of a call. Reverse mode works. Iterates start
 inside all limits and stay there, so that every iterate may be applied.
 """
 

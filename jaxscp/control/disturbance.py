@@ -2,9 +2,9 @@
 
 A disturbance d adds E d to the state's derivative. The observed quantity is y = E^+ x: of a rigid body, momentum and
 angular momentum. In a tick, y grows by the prediction, which contains tick * d. A Kalman filter of (y, tick * d) has
-white noise on y and a random walk of d. Its steady-state gains are alpha and beta = alpha^2 / (2 - alpha). With Lambda
-the ratio of a tick's change of tick * d to the noise of y, Lambda = beta / sqrt(1 - alpha) (Kalata, "The tracking
-index: a generalized parameter for alpha-beta and alpha-beta-gamma target trackers", 1984).
+white noise on y and a random walk of d. Its steady-state gains are alpha and beta = alpha^2 / (2 - alpha). Lambda is the
+change of tick * d in a tick over the noise of y; Lambda = beta / sqrt(1 - alpha) gives alpha. Source: Kalata, "The
+tracking index: a generalized parameter for alpha-beta and alpha-beta-gamma target trackers", 1984.
 """
 
 import equinox as eqx
@@ -104,8 +104,8 @@ def update(model: DisturbanceModel, tick, before: Observed, change, state) -> Ob
 def compensation(dynamics: Dynamics, model: DisturbanceModel, tracking: Tracking, state, control, time):
     """Cheapest change of (state, control), for each unit of disturbance, that balances it.
 
-    With A and B the Jacobians of the dynamics, E E^+ (A dx + B du + E d) = 0 at the least tracking cost: a wind is met
-    by a tilt and more thrust. What can be balanced at a high cost only, as by a tilt without thrust, is left in part.
+    A and B are the Jacobians of the dynamics. The change solves E E^+ (A dx + B du + E d) = 0 at the least tracking
+    cost. A tilt and more thrust balance a wind. At little thrust, a tilt would have to be large: then a part is left.
 
     Args:
         dynamics: equations of motion.

@@ -134,7 +134,7 @@ class NMPC(eqx.Module):
             reference: to follow.
             estimate: (states,) now.
             time: s, of the first tick.
-            active: (controls,) that act now, within their bounds; those of the reference by default.
+            active: (controls,) that act now, within their bounds; the reference's controls by default.
         """
         begin = jnp.asarray(time, dtype=reference.state.dtype)
         return self._init(reference, jnp.asarray(estimate), begin, active)
@@ -238,7 +238,7 @@ class NMPC(eqx.Module):
 
     @eqx.filter_jit
     def _with_compensation(self, reference: Reference) -> Reference:
-        """The reference with what meets a disturbance, at every sample."""
+        """The reference, with its compensation of disturbances at every sample."""
         times = reference.start + reference.step * jnp.arange(
             reference.state.shape[0], dtype=reference.step.dtype
         )

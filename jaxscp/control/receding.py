@@ -27,7 +27,7 @@ class HeldPlan(eqx.Module):
     start: Scalar
     """s, of the loop's clock: the plan's time zero."""
     requested: Scalar
-    """s, of the request: what the plan knows is from then."""
+    """s, of the request: the plan knows no later data."""
 
     def age(self, time: Scalar | float) -> Scalar:
         """Seconds since the request."""

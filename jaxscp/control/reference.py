@@ -45,8 +45,8 @@ class Reference(eqx.Module):
         Args:
             trajectory: a plan with dynamics.
             start: s, the controller's time at which the plan begins.
-            final_control: (controls,) controls after the end of the plan; of a landing, those of hover or the least
-                thrust. By default those of the last node.
+            final_control: (controls,) controls after the end of the plan; of a landing, hover or the least thrust.
+                By default the last node's controls.
             samples: number of samples, at equal steps from the start to the end.
 
         Raises:

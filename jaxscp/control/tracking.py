@@ -54,7 +54,7 @@ class Tracking(eqx.Module):
 
     @staticmethod
     def of(dynamics: Dynamics) -> "Tracking":
-        """Default weights: those of a small multirotor for a rigid body, else ones.
+        """Default weights: for a rigid body, weights of a small multirotor; else ones.
 
         Example:
             >>> import jaxscp

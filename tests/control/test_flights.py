@@ -28,7 +28,7 @@ from tests.support.flights_under_control import (
 
 NMPC = controller()
 SUCTION = 2.9, 0.25  # N, m: a stiffness of -11.6 N/m at the deck
-SAME_THRUST = 1e-5  # N: OSQP's accuracy at its tolerance
+SAME_THRUST = 1e-4  # N: OSQP's accuracy at its tolerance; the cost is flat in some directions
 
 
 KEY = jax.random.key(0)
@@ -105,9 +105,9 @@ def test_the_program_of_a_tick_is_solved_as_by_osqp():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("plan", "calm", "rough"), [(adaptive_plan, 0.03, 0.12), (uniform_plan, 0.03, 0.12)])
+@pytest.mark.parametrize(("plan", "calm", "rough"), [(adaptive_plan, 0.03, 0.1), (uniform_plan, 0.03, 0.1)])
 def test_plans_are_flown_and_end_in_hover_at_the_goal(plan, calm, rough):
-    """Bounds of the tracking error in m: twice what was measured."""
+    """Bounds of the tracking error in m are about twice the measured errors."""
     solution = plan()
     assert jaxscp.status_names(solution.status) == "converged"
     reference = NMPC.follow(solution.trajectory, 0.0, HOVER)

@@ -100,7 +100,7 @@ def test_what_is_not_finite_leaves_the_shifted_plan(which):
     assert jaxscp.status_names(first.status) == jaxscp.status_names(sound.status) == "converged"
     assert jaxscp.status_names(after.status) == "numerical_error"
     assert all(bool(jnp.all(jnp.isfinite(leaf))) for leaf in jax.tree.leaves((after, command)))
-    # the last plan is still good: its command is that of a sound tick, to what one tick changes
+    # the last plan is still good: one tick changes its command little
     np.testing.assert_allclose(command, expected, atol=0.1)
 
 

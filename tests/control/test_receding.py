@@ -1,4 +1,4 @@
-"""The loop about a planner: what is held, from when, and how old it is."""
+"""The loop about a planner: plans, starts and ages."""
 
 import types
 from concurrent.futures import ThreadPoolExecutor
@@ -25,7 +25,7 @@ def plan(speed=1.0, status="converged"):
 
 
 class Planner:
-    """Answers with given plans, and notes what it was asked; its clock says how long it took."""
+    """Answers with given plans; it notes the requests, and its clock the time of each."""
 
     def __init__(self, *answers, seconds=0.01):
         self.answers, self.asked, self.seconds, self.now = list(answers), [], seconds, 0.0
