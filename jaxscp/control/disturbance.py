@@ -2,8 +2,8 @@
 
 A disturbance d adds E d to the state's derivative. The observed quantity is y = E^+ x: of a rigid body, momentum and
 angular momentum. In a tick, y grows by the prediction, which contains tick * d. A Kalman filter of (y, tick * d) has
-white noise on y and a random walk of d. Its steady-state gains are alpha and beta = alpha^2 / (2 - alpha). Lambda is the
-change of tick * d in a tick over the noise of y; Lambda = beta / sqrt(1 - alpha) gives alpha. Source: Kalata, "The
+white noise on y and a random walk of d. Its steady-state gains are alpha and beta = alpha^2 / (2 - alpha). Lambda is
+the change of tick * d in a tick over the noise of y; Lambda = beta / sqrt(1 - alpha) gives alpha. Source: Kalata, "The
 tracking index: a generalized parameter for alpha-beta and alpha-beta-gamma target trackers", 1984.
 """
 
