@@ -114,7 +114,7 @@ def test_the_pure_part_chooses_by_the_status():
         assert float(held.start) == float(accepted) == expected
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_goal_that_moves_is_reached():
     """In a room, with the library's planner: the goal moves by 0.2 m with every request."""
     planner = jaxscp.Planner(nodes=15)
