@@ -75,6 +75,9 @@ from .backends.serving import Backends as Backends
 from .backends.serving import PerformanceWarning as PerformanceWarning
 from . import plot as plot
 
+# --- feedback ---
+from . import control as control
+
 # --- compile, store, load ---
 from .aot.aot import CompiledPlanner as CompiledPlanner
 from .solver.compiled import CompiledSolver as CompiledSolver

@@ -1,0 +1,5 @@
+"""Feedback control: predictive control of any dynamics, disturbance estimate, receding horizon."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)  # the names of ``__init__.pyi``
