@@ -75,6 +75,9 @@ from .backends.serving import Backends as Backends
 from .backends.serving import PerformanceWarning as PerformanceWarning
 from . import plot as plot
 
+# --- many cases ---
+from . import monte_carlo as monte_carlo
+
 # --- compile, store, load ---
 from .aot.aot import CompiledPlanner as CompiledPlanner
 from .solver.compiled import CompiledSolver as CompiledSolver
