@@ -54,3 +54,10 @@ from .results import open_sweep as open_sweep
 from .intervals import Interval as Interval
 from .intervals import wilson as wilson
 from .intervals import mean_interval as mean_interval
+from .summary import Summary as Summary
+from .summary import summarise as summarise
+from .sensitivity import Effect as Effect
+from .sensitivity import rank_correlations as rank_correlations
+from .sensitivity import Saltelli as Saltelli
+from .sensitivity import sobol_indices as sobol_indices
+from .coverage import simulated_coverage as simulated_coverage

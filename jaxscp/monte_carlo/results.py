@@ -35,12 +35,7 @@ class Sweep:
         self.independent = stored["study"]["sampling"].get("independent") is True
         """Whether cases are independent, so that intervals hold."""
         ending = store.read(ENDING)
-        interval = ending and ending["interval"]
-        self.ending = (
-            None
-            if ending is None
-            else Ending(ending["cases"], ending["reason"], interval and Interval(*interval))
-        )
+        self.ending = None if ending is None else _ending(ending)
         """Where the sweep ended, and why; None if it has not."""
         done = [i for i in store.done() if i < self.layout.chunks]
         cases = [np.arange(self.layout.cases(i).start, self.layout.cases(i).stop) for i in done]
@@ -146,6 +141,11 @@ class Sweep:
 
     def __repr__(self) -> str:
         return f"Sweep({self.store.address!r}, {self.complete} of {self.layout.count} cases)"
+
+
+def _ending(stored: dict[str, Any]) -> Ending:
+    interval = stored["interval"]
+    return Ending(stored["cases"], stored["reason"], interval and Interval(*interval), stored["of"])
 
 
 def open_sweep(address: str | os.PathLike, study: Study | None = None) -> Sweep:

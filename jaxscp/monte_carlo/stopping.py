@@ -44,6 +44,8 @@ class Ending:
     cases: int
     reason: str
     interval: Interval | None = None
+    of: str = ""
+    """Name of the result that the interval is of."""
 
 
 @runtime_checkable
@@ -139,8 +141,8 @@ def _narrow(
             return None
         found = interval(observed.first(rule.of, cases), level)
         if found.width <= rule.width:
-            return Ending(cases, f"the interval of {rule.of} is narrower than {rule.width:g}", found)
-    return Ending(observed.count, "all cases are computed", found)
+            return Ending(cases, f"the interval of {rule.of} is narrower than {rule.width:g}", found, rule.of)
+    return Ending(observed.count, "all cases are computed", found, rule.of)
 
 
 @functools.cache

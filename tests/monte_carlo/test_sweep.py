@@ -262,6 +262,7 @@ def test_many_at_once_pads_and_agrees(tmp_path):
     xarray.testing.assert_allclose(a.dataset(), b.dataset(), rtol=ROUNDING)
 
 
+@pytest.mark.slow
 def test_processes_give_the_same_bits(whole, tmp_path):
     planned = dice.study(run=lambda ball: dice_like(ball))
 
