@@ -61,3 +61,11 @@ from .sensitivity import rank_correlations as rank_correlations
 from .sensitivity import Saltelli as Saltelli
 from .sensitivity import sobol_indices as sobol_indices
 from .coverage import simulated_coverage as simulated_coverage
+
+# --- pictures ---
+from .pictures import draw_success_map as draw_success_map
+from .pictures import draw_distributions as draw_distributions
+from .pictures import draw_convergence as draw_convergence
+from .pictures import draw_tornado as draw_tornado
+from .pictures import draw_failures as draw_failures
+from .report import write_report as write_report

@@ -48,14 +48,17 @@ class OneByOne:
             case = study.insert(drawn)
             began = time.perf_counter()
             try:
-                rows.append(as_arrays(outcome_of(jax.block_until_ready(study.run(case)))))
+                value = jax.block_until_ready(study.run(case))
+                busy += time.perf_counter() - began
+                rows.append(
+                    as_arrays(outcome_of(jax.device_get(value)))
+                )  # one copy, and no compiled indexing
             except (InvalidScenario, InvalidProblem) as error:
                 if STATUS not in stored:
                     raise SweepError(f"case {number}: {error}") from error
                 rows.append(_invalid(stored))  # as under vmap
             except Exception as error:
                 raise SweepError(f"case {number}: run failed, {type(error).__name__}: {error}") from error
-            busy += time.perf_counter() - began
         return {name: np.stack([row[name] for row in rows]) for name in rows[0]}, busy
 
 

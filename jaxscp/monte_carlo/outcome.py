@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxscp.core.status import Status
+from jaxscp.core.status import STATUS_NAMES, Status
 from jaxscp.monte_carlo.errors import InvalidStudy
 from jaxscp.monte_carlo.parameters import dotted_leaves
 from jaxscp.problem.trajectory import Trajectory
@@ -15,6 +15,7 @@ from jaxscp.solver.solution import Solution
 SUCCESS = "success"
 STATUS = "status"
 _STATUS_TYPE = type(Status.converged)
+_CONVERGED = STATUS_NAMES.index("converged")
 
 
 class Outcome(NamedTuple):
@@ -74,7 +75,7 @@ def _solution_scalars(solution: Solution) -> dict[str, Any]:
     rows = {f"error_{_word(n)}": certificate.end_errors[i] for i, n in enumerate(certificate.end_names)}
     rows |= {f"violation_{_word(n)}": certificate.between_nodes[i] for i, n in enumerate(certificate.names)}
     return {
-        SUCCESS: solution.status == Status.converged,
+        SUCCESS: jax.tree.leaves(solution.status)[0] == _CONVERGED,
         STATUS: jax.tree.leaves(solution.status)[0],
         "cost": solution.cost,
         "final_time": solution.final_time,
