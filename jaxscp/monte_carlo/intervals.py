@@ -43,7 +43,7 @@ def wilson(successes: int, count: int, confidence: float = CONFIDENCE) -> Interv
     return Interval(successes / count, float(lower), float(upper))
 
 
-def wilson_limits(successes: np.ndarray, count: int, confidence: float) -> tuple[Any, Any]:
+def wilson_limits(successes: Any, count: Any, confidence: float) -> tuple[Any, Any]:
     """Limits of Wilson's interval for many numbers of successes at once."""
     z2, share = score(confidence) ** 2, successes / count
     centre = (share + z2 / (2 * count)) / (1 + z2 / count)

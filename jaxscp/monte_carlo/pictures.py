@@ -107,6 +107,7 @@ def draw_tornado(sweep: "Sweep", result: str) -> "Figure":
     ax.set_yticks(range(len(effects)), [effect.parameter for effect in effects])
     ax.axvline(0.0, color=GREY, linewidth=0.8)
     ax.set_xlim(-1.0, 1.0)
+    ax.set_xticks([-1.0, -0.5, 0.0, 0.5, 1.0])
     _label(ax, f"rank correlation with {result}", "")
     return figure
 

@@ -117,7 +117,7 @@ def test_a_landing_runs(tmp_path):
         ("count = 8", "", "count is missing"),
         ("seed = 3", "sed = 3", "unknown key 'sed'"),
         ("normal = {", "gauss = {", "give one of uniform"),
-        ("deviation = 0.03", "sigma = 0.03", "sigma"),
+        ("deviation = 0.03", "width = 0.03", "[[parameter]] 1 normal: "),
         ("airframe.body.mass", "airframe.mass", "no such leaf"),
         ("share_width", "share", "unknown key 'share'"),
         ("[sweep]", "[sweep", "is no TOML"),
