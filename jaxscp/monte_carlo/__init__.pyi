@@ -42,6 +42,7 @@ from .stopping import NarrowShare as NarrowShare
 from .stopping import NarrowMean as NarrowMean
 from .stopping import Budget as Budget
 from .progress import Progress as Progress
+from .progress import Snapshot as Snapshot
 from .progress import Bar as Bar
 from .progress import Lines as Lines
 from .progress import JSONLines as JSONLines
@@ -61,6 +62,8 @@ from .sensitivity import rank_correlations as rank_correlations
 from .sensitivity import Saltelli as Saltelli
 from .sensitivity import sobol_indices as sobol_indices
 from .coverage import simulated_coverage as simulated_coverage
+from .robustness import Robustness as Robustness
+from .robustness import robustness as robustness
 
 # --- pictures ---
 from .pictures import draw_success_map as draw_success_map
@@ -69,3 +72,4 @@ from .pictures import draw_convergence as draw_convergence
 from .pictures import draw_tornado as draw_tornado
 from .pictures import draw_failures as draw_failures
 from .report import write_report as write_report
+from .robustness import draw_robustness as draw_robustness

@@ -62,6 +62,7 @@ class ChunkJob:
         success = found.get(SUCCESS, np.zeros(len(numbers), bool)).astype(bool)
         values = {name: drawn[:, i] for i, name in enumerate(self.study.names)}
         values |= self._stored(found, numbers, success)
+        self.store.write_values(cases.start, values)
         report = ChunkReport(index, len(numbers), int(np.sum(success)), time.perf_counter() - began, busy)
         facts = {
             "cases": report.cases,
@@ -69,8 +70,8 @@ class ChunkJob:
             "seconds": report.seconds,
             "busy": busy,
         }
-        self.store.write_chunk(index, cases.start, values, facts)
-        return dataclasses.replace(report, seconds=time.perf_counter() - began)
+        self.store.write_marker(index, values, facts)
+        return report
 
     def _stored(
         self, found: dict[str, np.ndarray], numbers: np.ndarray, success: np.ndarray

@@ -11,6 +11,7 @@ from jaxscp.monte_carlo.errors import InvalidStudy
 from jaxscp.monte_carlo.parameters import dotted_leaves
 from jaxscp.problem.trajectory import Trajectory
 from jaxscp.solver.solution import Solution
+from jaxscp.verification.certificate import Certificate
 
 SUCCESS = "success"
 STATUS = "status"
@@ -71,20 +72,23 @@ def outcome_of(value: Any) -> Outcome:
 
 
 def _solution_scalars(solution: Solution) -> dict[str, Any]:
-    certificate = solution.certificate
-    rows = {f"error_{_word(n)}": certificate.end_errors[i] for i, n in enumerate(certificate.end_names)}
-    rows |= {f"violation_{_word(n)}": certificate.between_nodes[i] for i, n in enumerate(certificate.names)}
+    status = jax.tree.leaves(solution.status)[0]
     return {
-        SUCCESS: jax.tree.leaves(solution.status)[0] == _CONVERGED,
-        STATUS: jax.tree.leaves(solution.status)[0],
+        SUCCESS: status == _CONVERGED,
+        STATUS: status,
         "cost": solution.cost,
         "final_time": solution.final_time,
         "iterations": solution.iterations,
         "interior_point_iterations": solution.interior_point_iterations,
-        "violation": certificate.violation,
-        "defect": certificate.defect,
-        **rows,
+        **certificate_scalars(solution.certificate),
     }
+
+
+def certificate_scalars(certificate: Certificate) -> dict[str, Any]:
+    """Worst violation, defect, and every row of a certificate, by name."""
+    rows = {f"error_{_word(n)}": certificate.end_errors[i] for i, n in enumerate(certificate.end_names)}
+    rows |= {f"violation_{_word(n)}": certificate.between_nodes[i] for i, n in enumerate(certificate.names)}
+    return {"violation": certificate.violation, "defect": certificate.defect, **rows}
 
 
 def units_of(value: Any) -> dict[str, str]:

@@ -101,7 +101,7 @@ class Parameter:
                 f"{about}: expected a distribution, Normal(...) say, got {self.distribution!r}."
             )
         whole = isinstance(leaf, int) and not isinstance(leaf, bool)
-        dtype = leaf.dtype if hasattr(leaf, "dtype") else np.asarray(leaf).dtype
+        dtype = getattr(leaf, "dtype", None) or np.asarray(leaf).dtype
         if not whole and not np.issubdtype(dtype, np.floating):
             raise InvalidStudy(f"{about}: its leaf holds {dtype}; only floats vary.")
         try:

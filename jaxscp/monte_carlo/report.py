@@ -56,7 +56,7 @@ def _figures(sweep: "Sweep") -> Iterator[tuple[str, Any]]:
         yield "Share of successes", pictures.draw_convergence(sweep)
         if len(sweep.parameters) >= 2:
             effects = [e.parameter for e in rank_correlations(sweep, SUCCESS)]
-            yield "Where cases succeed", pictures.draw_success_map(sweep, *effects[:2])
+            yield "Where cases succeed", pictures.draw_success_map(sweep, effects[0], effects[1])
     if chosen := (results or others[:2]):
         yield "Distributions", pictures.draw_distributions(sweep, chosen)
     for result in [*([SUCCESS] if SUCCESS in sweep.results else []), *chosen]:

@@ -3,6 +3,7 @@
 import os
 from typing import TYPE_CHECKING, Any
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Int
 
@@ -114,7 +115,9 @@ class Sweep:
             )
         arrays = {name.partition(".")[2]: np.asarray(self.store.arrays[name][number]) for name in names}
         if set(arrays) == {"time", "state", "control", "dilation"}:
-            return Trajectory(**arrays)
+            return Trajectory(
+                *(jnp.asarray(arrays[name]) for name in ("time", "state", "control", "dilation"))
+            )
         return arrays
 
     def with_trajectories(self) -> Int[np.ndarray, "stored"]:

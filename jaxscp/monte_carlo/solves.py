@@ -24,5 +24,5 @@ class Solves(eqx.Module):
 
     def __call__(self, problem: OptimalControlProblem) -> Solution:
         """The solution of one case."""
-        known = isinstance(self.guess, Trajectory | Solution)
-        return self.solver(problem, self.guess if known else self.guess(problem))  # pyright: ignore[reportCallIssue]
+        guess: Any = self.guess
+        return self.solver(problem, guess if isinstance(guess, Trajectory | Solution) else guess(problem))

@@ -106,21 +106,19 @@ class Store:
                 "what differs:\n  " + "\n  ".join(lines[:8])
             )
 
-    def write_chunk(
-        self, index: int, start: int, values: dict[str, np.ndarray], facts: dict[str, Any]
-    ) -> None:
-        """Write the values of a chunk, and then its marker.
+    def write_values(self, start: int, values: dict[str, np.ndarray]) -> None:
+        """Write the values of a chunk.
 
         Args:
-            index: of the chunk.
             start: number of its first case.
             values: by name, (cases of the chunk, ...) each; trajectories that are not stored are missing.
-            facts: times, for the marker.
         """
         for name, array in values.items():
             self.arrays[name][start : start + len(array)] = array
-        names = sorted(values)
-        self.write(marker(index), {"checksum": checksum(values), "names": names, **facts})
+
+    def write_marker(self, index: int, values: dict[str, np.ndarray], facts: dict[str, Any]) -> None:
+        """Say that a chunk is complete, after its values; with facts about it."""
+        self.write(marker(index), {"checksum": checksum(values), "names": sorted(values), **facts})
 
     def sound(self, index: int, cases: slice) -> bool:
         """Whether a chunk with a marker reads back with its checksum."""

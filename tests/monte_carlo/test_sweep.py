@@ -140,14 +140,16 @@ def test_a_failing_function_names_the_case(tmp_path, counted):
         mc.sweep(counted(50, 38), tmp_path / "s", chunk=10)
 
 
-@pytest.mark.slow
-def test_kill_9_at_random_moments_loses_and_repeats_nothing(tmp_path):
+@pytest.mark.parametrize(
+    "times", [pytest.param(4, marks=pytest.mark.slow), pytest.param(20, marks=pytest.mark.nightly)]
+)
+def test_kill_9_at_random_moments_loses_and_repeats_nothing(tmp_path, times):
     planned = dice.study(400, run=dice.slow_throw)
     rng, kills = np.random.default_rng(0), 0
     environment = os.environ | {"PYTHONPATH": str(SUPPORT.parents[1])}
     code = [sys.executable, str(SUPPORT / "dice.py"), str(tmp_path / "s")]
     done = 0
-    while kills < 20:
+    while kills < times:
         driver = subprocess.Popen(code, env=environment)
         time.sleep(1.5 + rng.uniform(0.0, 1.2))
         if driver.poll() is None:
@@ -157,7 +159,7 @@ def test_kill_9_at_random_moments_loses_and_repeats_nothing(tmp_path):
         markers = len(Store(tmp_path / "s").done()) if (tmp_path / "s").exists() else 0
         assert markers >= done
         done = markers
-        if done == 20 and kills < 20:
+        if done == 20 and kills < times:
             shutil.rmtree(tmp_path / "s")
             done = 0
     killed = mc.sweep(planned, tmp_path / "s", keep=mc.FailedTrajectories(), chunk=20)
