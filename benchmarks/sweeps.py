@@ -121,7 +121,7 @@ def measure(count: int, mode: str, chunk: int, folder: Path) -> dict[str, Any]:
         "scaling_2": both / single,
         "coverage_worst": worst,
         "coverage": rows,
-        "statuses": whole.summary(resamples=0).statuses,
+        "statuses": mc.summarise(whole, resamples=0).statuses,
     }
 
 

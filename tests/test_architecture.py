@@ -23,7 +23,7 @@ LAYERS = (
     ("cli",),
 )
 LAYER = {room: number for number, rooms in enumerate(LAYERS, start=1) for room in rooms} | {"__main__": 13}
-MOST_ROOMS, MOST_ARROWS, MOST_FLOORS = 24, 85, 11
+MOST_ROOMS, MOST_ARROWS, MOST_FLOORS = 24, 85, 12
 MOST_LINES, MOST_FUNCTION_LINES, MOST_ARGUMENTS = 300, 50, 7
 CONES = {"Cone", "Zero", "NonNegative", "SecondOrder", "SymmetricCone"}
 

@@ -59,7 +59,7 @@ class SweepRequest:
         )
 
     def _print(self, found: mc.Sweep) -> None:
-        summary = found.summary()
+        summary = mc.summarise(found)
         if self.as_json:
             event = {"event": "summary", "folder": found.store.address, **summary.plain()}
             typer.echo(json.dumps(event, allow_nan=False))

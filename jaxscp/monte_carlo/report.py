@@ -13,6 +13,7 @@ from jaxscp.monte_carlo import pictures
 from jaxscp.monte_carlo.errors import InvalidStudy
 from jaxscp.monte_carlo.outcome import STATUS, SUCCESS
 from jaxscp.monte_carlo.sensitivity import rank_correlations
+from jaxscp.monte_carlo.summary import summarise
 
 if TYPE_CHECKING:
     from jaxscp.monte_carlo.results import Sweep
@@ -36,7 +37,7 @@ def write_report(sweep: "Sweep", file: str | os.PathLike, title: str = "Sweep") 
     Raises:
         OSError: if the file cannot be written.
     """
-    summary = sweep.summary()
+    summary = summarise(sweep)
     parts = [f"<h1>{html.escape(title)}</h1>", f"<pre>{html.escape(str(summary))}</pre>"]
     parts += [f"<h2>{html.escape(name)}</h2>{_image(figure)}" for name, figure in _figures(sweep)]
     parts.append(f"<h2>Worst cases</h2>{_table(sweep, summary.worst)}")

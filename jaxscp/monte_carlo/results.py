@@ -1,7 +1,7 @@
 """The results of a sweep: tables, single cases, and the way to statistics."""
 
 import os
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,8 +16,7 @@ from jaxscp.monte_carlo.storage import CONFIGURATION, DATA, ENDING, STORED, Layo
 from jaxscp.monte_carlo.study import Study
 from jaxscp.problem.trajectory import Trajectory
 
-if TYPE_CHECKING:
-    from jaxscp.monte_carlo.summary import Summary
+_TRAJECTORY = "time", "state", "control", "dilation"
 
 
 class Sweep:
@@ -114,10 +113,9 @@ class Sweep:
                 f"case {number}: its trajectory is not stored; rerun(sweep, {number}) computes it again."
             )
         arrays = {name.partition(".")[2]: np.asarray(self.store.arrays[name][number]) for name in names}
-        if set(arrays) == {"time", "state", "control", "dilation"}:
-            return Trajectory(
-                *(jnp.asarray(arrays[name]) for name in ("time", "state", "control", "dilation"))
-            )
+        if set(arrays) == set(_TRAJECTORY):
+            time, state, control, dilation = (jnp.asarray(arrays[name]) for name in _TRAJECTORY)
+            return Trajectory(time, state, control, dilation)
         return arrays
 
     def with_trajectories(self) -> Int[np.ndarray, "stored"]:
@@ -135,12 +133,6 @@ class Sweep:
         if self.study is None:
             raise InvalidStudy("the sweep was opened without its study; open_sweep(address, study) takes it.")
         return self.study.case(number)
-
-    def summary(self, **options: Any) -> "Summary":
-        """Shares, quantiles, statuses and the worst cases: see ``summarise``."""
-        from jaxscp.monte_carlo.summary import summarise
-
-        return summarise(self, **options)
 
     def __repr__(self) -> str:
         return f"Sweep({self.store.address!r}, {self.complete} of {self.layout.count} cases)"

@@ -12,6 +12,7 @@ import numpy as np
 from jaxscp.monte_carlo.driver import sweep
 from jaxscp.monte_carlo.engines import InProcess
 from jaxscp.monte_carlo.evaluators import Together
+from jaxscp.monte_carlo.intervals import wilson
 from jaxscp.monte_carlo.outcome import SUCCESS, Outcome, certificate_scalars
 from jaxscp.monte_carlo.parameters import Parameter
 from jaxscp.monte_carlo.results import Sweep
@@ -67,7 +68,7 @@ class Robustness(NamedTuple):
     sweep: Sweep
 
     def draw(self) -> "Figure":
-        """Paths from above and from the side; failures in red, the plan in blue. The title has the success share."""
+        """Paths from above and from the side; failures in red, the plan in blue. The legend has the success share."""
         return draw_robustness(self)
 
 
@@ -130,11 +131,8 @@ def draw_robustness(found: Robustness) -> "Figure":
         ax.spines[["top", "right"]].set_visible(False)
     ax.set_xlabel("x [m]")
     handles, labels = ax.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=3, **LEGEND)
-    share = found.sweep.summary(resamples=0).share
-    assert share is not None
-    figure.suptitle(
-        f"open loop: {100 * share.estimate:.0f} % within limits ({100 * share.lower:.0f} to {100 * share.upper:.0f} %)",
-        fontsize=9,
-    )
+    share = wilson(int(np.sum(success)), len(success))
+    percent = [f"{100 * value:.0f}" for value in share]
+    title = f"open loop: {percent[0]} % within limits ({percent[1]} to {percent[2]} %)"
+    figure.legend(handles, labels, title=title, loc="outside upper center", ncols=3, **LEGEND)
     return figure

@@ -52,8 +52,10 @@ class Ending:
 class Stop(Protocol):
     """A rule."""
 
-    independent: bool
-    """Whether it holds for independent cases only."""
+    @property
+    def independent(self) -> bool:
+        """Whether it holds for independent cases only."""
+        ...
 
     def ended(self, observed: Observed) -> Ending | None:
         """Where the sweep ends; None to go on. Looks again at all looks so far: it keeps no state."""

@@ -1,16 +1,14 @@
 """Statistics of a sweep: success share, quantiles, statuses with likely causes, the worst cases."""
 
 import dataclasses
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from jaxscp.core.status import STATUS_NAMES, Status
 from jaxscp.monte_carlo.intervals import CONFIDENCE, Interval, wilson
 from jaxscp.monte_carlo.outcome import STATUS, SUCCESS
-
-if TYPE_CHECKING:
-    from jaxscp.monte_carlo.results import Sweep
+from jaxscp.monte_carlo.results import Sweep
 
 QUANTILES = (0.05, 0.5, 0.95)
 RESAMPLES = 1000
@@ -66,7 +64,7 @@ class Summary:
         return _finite(about)
 
 
-def summarise(sweep: "Sweep", confidence: float = CONFIDENCE, resamples: int = RESAMPLES) -> Summary:
+def summarise(sweep: Sweep, confidence: float = CONFIDENCE, resamples: int = RESAMPLES) -> Summary:
     """Statistics of a sweep.
 
     Args:
@@ -100,7 +98,7 @@ def summarise(sweep: "Sweep", confidence: float = CONFIDENCE, resamples: int = R
     )
 
 
-def _share(sweep: "Sweep", good: np.ndarray, confidence: float) -> Interval:
+def _share(sweep: Sweep, good: np.ndarray, confidence: float) -> Interval:
     if not sweep.independent:
         return Interval(float(np.mean(good)), np.nan, np.nan)
     ending = sweep.ending

@@ -117,7 +117,7 @@ def test_the_summary(tmp_path):
 
     planned = mc.Study(run, {"x": 0.0}, (mc.Parameter("x", mc.Uniform(0, 1)),), mc.Independent(400, 1))
     result = mc.sweep(planned, tmp_path / "s", chunk=400)
-    found = result.summary(resamples=200)
+    found = mc.summarise(result, resamples=200)
     x = result.values("x")
     assert found.share == mc.wilson(int(np.sum(x > 0.25)), 400)
     assert found.quantiles["cost"][0.5].estimate == np.median(x[x > 0.25])
