@@ -61,6 +61,7 @@ from .sensitivity import Effect as Effect
 from .sensitivity import rank_correlations as rank_correlations
 from .sensitivity import Saltelli as Saltelli
 from .sensitivity import sobol_indices as sobol_indices
+from .sensitivity import gradient as gradient
 from .coverage import simulated_coverage as simulated_coverage
 from .robustness import Robustness as Robustness
 from .robustness import robustness as robustness

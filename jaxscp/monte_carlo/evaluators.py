@@ -22,7 +22,7 @@ from jaxscp.monte_carlo.outcome import (
     units_of,
 )
 from jaxscp.monte_carlo.sampling import Numbers
-from jaxscp.monte_carlo.study import Study
+from jaxscp.monte_carlo.study import ById, Study
 from jaxscp.problem.errors import InvalidProblem, InvalidScenario
 
 
@@ -109,7 +109,7 @@ class Together:
         """See ``Evaluator``."""
         values = study.values(numbers)
         began, parts = time.perf_counter(), []
-        program = _batched(self, _ById(study))
+        program = _batched(self, ById(study))
         for start in range(0, len(values), self.size):
             rows = values[start : start + self.size]
             padded = np.concatenate([rows, np.repeat(rows[-1:], self.size - len(rows), axis=0)])
@@ -119,21 +119,8 @@ class Together:
         return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}, busy
 
 
-class _ById:
-    """A study as a key: the same object is the same program."""
-
-    def __init__(self, study: Study):
-        self.study = study
-
-    def __hash__(self) -> int:
-        return id(self.study)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _ById) and other.study is self.study
-
-
 @functools.lru_cache(maxsize=2)
-def _batched(how: Together, key: _ById) -> Any:
+def _batched(how: Together, key: ById) -> Any:
     """The compiled program of a study's batch."""
 
     def one(row: Any) -> dict[str, jax.Array]:

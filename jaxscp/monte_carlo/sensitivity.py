@@ -1,12 +1,17 @@
-"""Which parameters a result depends on: rank correlations of any sweep, and Sobol indices of a design of their own."""
+"""Which parameters a result depends on: rank correlations, Sobol indices, and gradients of single cases."""
 
 import dataclasses
+import functools
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxscp.monte_carlo.errors import InvalidStudy, extra
+from jaxscp.monte_carlo.outcome import outcome_of
 from jaxscp.monte_carlo.sampling import Numbers, UnitPoints
+from jaxscp.monte_carlo.study import ById, Study
 
 if TYPE_CHECKING:
     from jaxscp.monte_carlo.results import Sweep
@@ -126,3 +131,46 @@ def sobol_indices(sweep: "Sweep", result: str) -> dict[str, list[Effect]]:
 
 def _problem(names: list[str]) -> dict[str, Any]:
     return {"num_vars": len(names), "names": names, "bounds": [[0.0, 1.0]] * len(names)}
+
+
+def gradient(sweep: "Sweep | Study", number: int, of: str) -> dict[str, float]:
+    """Derivatives of one result of one case with respect to each parameter, by ``jax.grad``.
+
+    Of a plan in the default mode, these are implicit derivatives of the optimum. They compile once for a study.
+
+    Args:
+        sweep: with its study, or the study; its ``run`` must be a JAX function.
+        number: of the case.
+        of: name of the result.
+
+    Raises:
+        InvalidStudy: if there is no such case or result, or the sweep was opened without its study.
+
+    Example:
+        >>> from jaxscp import monte_carlo as mc
+        >>> study = mc.Study(lambda c: {"y": c["x"] ** 2}, {"x": 3.0}, [mc.Parameter("x", mc.Choice((3.0,)))],
+        ...                  mc.Independent(1))
+        >>> mc.gradient(study, 0, "y")
+        {'x': 6.0}
+    """
+    study = sweep if isinstance(sweep, Study) else sweep.study
+    if study is None:
+        raise InvalidStudy(
+            "gradient: the sweep was opened without its study; open_sweep(address, study) takes it."
+        )
+    if not 0 <= number < study.count:
+        raise InvalidStudy(f"case {number}: the study has cases 0 to {study.count - 1}.")
+    values = study.values(np.array([number]))[0]
+    found = _gradient(ById(study), of)(jnp.asarray(values))
+    return {name: float(value) for name, value in zip(study.names, found, strict=True)}
+
+
+@functools.lru_cache(maxsize=8)
+def _gradient(key: ById, of: str) -> Any:
+    def value(drawn: Any) -> Any:
+        scalars = outcome_of(key.study.run(key.study.insert(drawn))).scalars
+        if of not in scalars:
+            raise InvalidStudy(f"no result is called {of!r}; there are {', '.join(scalars)}.")
+        return scalars[of]
+
+    return jax.jit(jax.grad(value))

@@ -131,3 +131,16 @@ class Study:
             "float64": bool(jax.config.jax_enable_x64),  # pyright: ignore[reportAttributeAccessIssue]
         }
         return about
+
+
+class ById:
+    """A study as a key: the same object is the same program."""
+
+    def __init__(self, study: Study):
+        self.study = study
+
+    def __hash__(self) -> int:
+        return id(self.study)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, ById) and other.study is self.study
