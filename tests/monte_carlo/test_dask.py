@@ -27,10 +27,6 @@ pytestmark = [
 @pytest.fixture(scope="module")
 def client(tmp_path_factory):
     distributed = pytest.importorskip("distributed")
-    support = str(Path(dice.__file__).parent)
-    os.environ["PYTHONPATH"] = os.pathsep.join(
-        [str(Path(support).parents[1]), support, os.environ.get("PYTHONPATH", "")]
-    )
     folder = str(tmp_path_factory.mktemp("dask"))
     with (
         distributed.LocalCluster(
@@ -38,6 +34,7 @@ def client(tmp_path_factory):
         ) as cluster,
         distributed.Client(cluster) as found,
     ):
+        found.upload_file(dice.__file__)  # of workers that start later, too
         yield found
 
 
