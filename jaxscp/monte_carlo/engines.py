@@ -4,8 +4,12 @@ import concurrent.futures
 import contextlib
 import dataclasses
 import functools
+import importlib
+import io
 import os
 import pickle
+import sys
+import types
 from collections.abc import Iterable, Iterator
 from typing import Any, Protocol, runtime_checkable
 
@@ -174,9 +178,20 @@ def _started(counter: Any, count: int, parent: int) -> None:
 
 def _packed(value: Any) -> bytes:
     """A value, functions of notebooks included, with the settings that it needs."""
-    dumps = extra("cloudpickle").dumps
+
+    class Pickler(extra("cloudpickle").Pickler):
+        """Packages that import lazily have a class of their own, which cloudpickle does not know."""
+
+        def reducer_override(self, obj: Any) -> Any:
+            if isinstance(obj, types.ModuleType) and sys.modules.get(obj.__name__) is obj:
+                if obj.__name__ != "__main__":
+                    return importlib.import_module, (obj.__name__,)
+            return super().reducer_override(obj)
+
+    stream = io.BytesIO()
+    Pickler(stream).dump(value)
     double = bool(jax.config.jax_enable_x64)  # pyright: ignore[reportAttributeAccessIssue]
-    return pickle.dumps((double, cache_folder.folder(), dumps(value)))
+    return pickle.dumps((double, cache_folder.folder(), stream.getvalue()))
 
 
 @functools.lru_cache(maxsize=2)

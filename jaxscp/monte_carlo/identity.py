@@ -15,7 +15,8 @@ _SMALL = 16  # numbers of an array that are listed, so that a difference says wh
 def described(value: Any) -> Any:
     """Plain data (for JSON) that two values share only if they mean the same.
 
-    Functions are compared by their code, defaults and closures. Functions that they call are not followed.
+    Functions are compared by their code, defaults, closures, and the globals that they name: functions of the same
+    package, numbers, arrays and dataclasses. Methods and functions of other packages are not followed.
 
     Example:
         >>> described({"mass": 1.0, "times": (1, 2)})
@@ -63,7 +64,31 @@ def _function(function: types.FunctionType, above: tuple[int, ...]) -> dict[str,
         names = function.__code__.co_freevars
         cells = [cell.cell_contents for cell in function.__closure__]
         found["closure"] = {n: _described(v, above) for n, v in zip(names, cells, strict=True)}
+    if known := _globals(function, above):
+        found["globals"] = known
     return found
+
+
+def _globals(function: types.FunctionType, above: tuple[int, ...]) -> dict[str, Any]:
+    """Values of the global names of a function that decide what it computes."""
+    package = (function.__module__ or "").partition(".")[0]
+    named = {
+        name: function.__globals__[name] for name in _names(function.__code__) if name in function.__globals__
+    }
+
+    def counts(value: Any) -> bool:
+        if isinstance(value, types.FunctionType):
+            return (value.__module__ or "").partition(".")[0] == package
+        plain = bool | int | float | str | tuple | jax.Array | np.ndarray | np.generic
+        return isinstance(value, plain) or (dataclasses.is_dataclass(value) and not inspect.isclass(value))
+
+    return {name: _described(value, above) for name, value in sorted(named.items()) if counts(value)}
+
+
+def _names(code: types.CodeType) -> set[str]:
+    """Names that a function looks up, inner functions included."""
+    inner = [c for c in code.co_consts if isinstance(c, types.CodeType)]
+    return {*code.co_names, *(name for c in inner for name in _names(c))}
 
 
 def _code(code: types.CodeType) -> bytes:

@@ -174,7 +174,12 @@ def correlated(points: UnitPoints, factor: Float[np.ndarray, "parameters paramet
     """Points with uniform margins and a Gaussian copula, from independent points."""
     from scipy.special import ndtr, ndtri
 
-    return np.clip(ndtr(ndtri(points) @ factor.T), _INSIDE, 1.0 - _INSIDE)
+    scores = ndtri(points)
+    # column by column: a product of matrices rounds a row differently with the number of rows
+    joint = [
+        sum(weight * scores[:, j] for j, weight in enumerate(row[: i + 1])) for i, row in enumerate(factor)
+    ]
+    return np.clip(ndtr(np.stack(joint, axis=1)), _INSIDE, 1.0 - _INSIDE)
 
 
 @functools.lru_cache(maxsize=2)

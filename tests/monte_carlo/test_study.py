@@ -32,11 +32,16 @@ def study(sampling, **more):
 
 
 @pytest.mark.parametrize("sampling", SAMPLERS, ids=lambda s: type(s).__name__)
-def test_case_n_depends_on_n_alone(sampling):
-    whole = study(sampling).values(np.arange(COUNT))
+@pytest.mark.parametrize(
+    "pairs", [{}, {("mass", "thrust"): 0.3, ("mass", "wind"): 0.7}], ids=["", "correlated"]
+)
+def test_case_n_depends_on_n_alone(sampling, pairs):
+    planned = study(sampling, correlations=pairs)
+    whole = planned.values(np.arange(COUNT))
     shuffled = np.random.default_rng(0).permutation(COUNT)
-    np.testing.assert_array_equal(study(sampling).values(shuffled), whole[shuffled])
-    np.testing.assert_array_equal(study(sampling).values(np.array([1234]))[0], whole[1234])
+    np.testing.assert_array_equal(planned.values(shuffled), whole[shuffled])
+    for number in range(0, COUNT, 37):
+        np.testing.assert_array_equal(planned.values(np.array([number]))[0], whole[number])
 
 
 @pytest.mark.parametrize("sampling", SAMPLERS, ids=lambda s: type(s).__name__)
@@ -169,3 +174,19 @@ def test_closures_and_arrays_count():
 
     assert described(adding(1.0)) == described(adding(1.0)) != described(adding(2.0))
     assert described(jnp.arange(100.0)) != described(jnp.arange(100.0) + 1e-9)
+
+
+FACTOR = 2.0
+
+
+def helper(x):
+    return FACTOR * x
+
+
+def test_globals_and_functions_of_the_same_module_count(monkeypatch):
+    before = described(lambda b: helper(b))
+    assert before == described(lambda b: helper(b))
+    monkeypatch.setitem(globals(), "FACTOR", 3.0)
+    assert "globals.helper.globals.FACTOR: stored 2.0, now 3.0" in differences(
+        before, described(lambda b: helper(b))
+    )

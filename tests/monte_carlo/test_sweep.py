@@ -16,6 +16,7 @@ import pytest
 import xarray
 
 from jaxscp import monte_carlo as mc
+from jaxscp.monte_carlo import engines
 from jaxscp.monte_carlo.storage import Store
 
 SUPPORT = Path(__file__).parents[1] / "support"
@@ -264,10 +265,18 @@ def test_many_at_once_pads_and_agrees(tmp_path):
     xarray.testing.assert_allclose(a.dataset(), b.dataset(), rtol=ROUNDING)
 
 
+def test_functions_with_lazy_packages_travel():
+    import jaxscp
+
+    def run(ball):
+        return {"name": jaxscp.__name__, "speed": jnp.asarray(ball)}
+
+    assert engines._unpacked(engines._packed(run))(2.0) == {"name": "jaxscp", "speed": 2.0}
+
+
 @pytest.mark.slow
 def test_processes_give_the_same_bits(whole, tmp_path):
     planned = dice.study(run=lambda ball: dice_like(ball))
-
     found = mc.sweep(planned, tmp_path / "p", engine=mc.Processes(2), chunk=30)
     np.testing.assert_array_equal(found.values("range"), whole.values("range"))
 
