@@ -183,15 +183,22 @@ def _packed(value: Any) -> bytes:
         """Packages that import lazily have a class of their own, which cloudpickle does not know."""
 
         def reducer_override(self, obj: Any) -> Any:
-            if isinstance(obj, types.ModuleType) and sys.modules.get(obj.__name__) is obj:
-                if obj.__name__ != "__main__":
-                    return importlib.import_module, (obj.__name__,)
+            if (
+                isinstance(obj, types.ModuleType)
+                and obj is sys.modules.get(obj.__name__)
+                and not _is_main(obj)
+            ):
+                return importlib.import_module, (obj.__name__,)
             return super().reducer_override(obj)
 
     stream = io.BytesIO()
     Pickler(stream).dump(value)
     double = bool(jax.config.jax_enable_x64)  # pyright: ignore[reportAttributeAccessIssue]
     return pickle.dumps((double, cache_folder.folder(), stream.getvalue()))
+
+
+def _is_main(module: types.ModuleType) -> bool:
+    return module.__name__ == "__main__"
 
 
 @functools.lru_cache(maxsize=2)
