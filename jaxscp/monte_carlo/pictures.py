@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from jaxscp.monte_carlo.results import Sweep
 
 BINS = 12
+MANY = 200  # failures that are drawn in full size
 SHOWN = 60  # trajectories of a picture: more hide each other
 
 
@@ -37,7 +38,8 @@ def draw_success_map(sweep: "Sweep", across: str, up: str, bins: int = BINS) -> 
     figure, ax = _figure()
     mesh = ax.pcolormesh(*edges, 100.0 * share.T, vmin=0.0, vmax=100.0, cmap="viridis")
     failed = ~success
-    ax.plot(x[failed], y[failed], "x", color=VERMILLION, markersize=4, label=f"{np.sum(failed)} failures")
+    size = 4.0 if np.sum(failed) <= MANY else 1.5
+    ax.plot(x[failed], y[failed], "x", color=VERMILLION, markersize=size, label=f"{np.sum(failed)} failures")
     figure.colorbar(mesh, ax=ax, label="success [%]")
     _label(ax, _named(sweep, across), _named(sweep, up))
     if np.any(failed):
@@ -112,13 +114,16 @@ def draw_tornado(sweep: "Sweep", result: str) -> "Figure":
     return figure
 
 
-def draw_failures(sweep: "Sweep", across: int = 0, up: int = 1) -> "Figure":
-    """Stored trajectories, failures in red: one state over another.
+def draw_failures(
+    sweep: "Sweep", across: int = 0, up: int = 1, labels: tuple[str, str] | None = None
+) -> "Figure":
+    """Stored trajectories, failures in red, at most 60 of each kind: one state over another.
 
     Args:
         sweep: with stored trajectories that have states, (nodes, states).
         across: number of the state of the horizontal axis; of a landing, 0 to 2 are x, y and z.
         up: number of the state of the vertical axis.
+        labels: of both axes.
 
     Raises:
         InvalidStudy: if no trajectory with states is stored.
@@ -129,15 +134,23 @@ def draw_failures(sweep: "Sweep", across: int = 0, up: int = 1) -> "Figure":
             "draw_failures: no trajectory with states is stored; sweep(..., keep=FailedTrajectories())."
         )
     success = dict(zip(sweep.numbers.tolist(), _success(sweep).tolist(), strict=True))
-    bad, good = ([n for n in stored.tolist() if success[n] is flag][:SHOWN] for flag in (False, True))
+    paths = {n: np.asarray(sweep.store.arrays["trajectory.state"][n]) for n in stored.tolist()}
+    drawn = [n for n, path in paths.items() if np.all(np.isfinite(path))]  # an invalid case has none
+    bad, good = ([n for n in drawn if success[n] is flag][:SHOWN] for flag in (False, True))
     figure, ax = _figure()
     for numbers, colour, name in ((good, GREY, "successes"), (bad, VERMILLION, "failures")):
         for i, number in enumerate(numbers):
-            state = np.asarray(sweep.store.arrays["trajectory.state"][number])
             label = f"{len(numbers)} {name}" if i == 0 else None
-            ax.plot(state[:, across], state[:, up], color=colour, linewidth=0.8, alpha=0.6, label=label)
+            ax.plot(
+                paths[number][:, across],
+                paths[number][:, up],
+                color=colour,
+                linewidth=0.8,
+                alpha=0.6,
+                label=label,
+            )
     ax.set_aspect("equal", adjustable="datalim")
-    _label(ax, f"state {across}", f"state {up}")
+    _label(ax, *(labels or (f"state {across}", f"state {up}")))
     ax.legend(**LEGEND)
     return figure
 
