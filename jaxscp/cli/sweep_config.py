@@ -1,4 +1,4 @@
-"""The file of ``jaxscp sweep``: a TOML table of what is run, what varies, and when it ends."""
+"""The file of ``jaxscp sweep``: a TOML table with the study, its folder, and rules that end it."""
 
 import importlib.util
 import tomllib
@@ -88,7 +88,7 @@ def _study(about: dict[str, Any], tables: dict[str, Any], here: Path) -> mc.Stud
 
 
 def _from_python(name: str, here: Path) -> mc.Study:
-    """``"study.py:make"``: what a function of a Python file returns, or a study of it."""
+    """The study that ``"study.py:make"`` names: an object of a Python file, or the result of its function."""
     file, _, attribute = name.partition(":")
     path = here / file
     spec = importlib.util.spec_from_file_location(path.stem, path)

@@ -1,4 +1,4 @@
-"""Monte Carlo: many cases of a problem that scatters, their storage, and statistics of what came of them."""
+"""Monte Carlo sweeps: cases of a problem whose numbers scatter, their storage, and statistics of the results."""
 
 import lazy_loader
 

@@ -55,7 +55,7 @@ class Uniform:
 
 @dataclasses.dataclass(frozen=True)
 class LogUniform:
-    """The logarithm is uniform between those of two positive limits."""
+    """A value between two positive limits whose logarithm is uniform."""
 
     lower: Real
     upper: Real

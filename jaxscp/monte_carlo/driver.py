@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxscp.monte_carlo.chunk import ChunkJob, ChunkReport
+from jaxscp.monte_carlo.chunk import ChunkJob, ChunkReport, Evaluator
 from jaxscp.monte_carlo.engines import Engine, InProcess
 from jaxscp.monte_carlo.errors import InvalidStudy, SweepError, extra
 from jaxscp.monte_carlo.intervals import wilson
-from jaxscp.monte_carlo.outcome import SUCCESS
+from jaxscp.monte_carlo.outcome import SUCCESS, Outcome
 from jaxscp.monte_carlo.progress import Progress, Silent, Snapshot
 from jaxscp.monte_carlo.results import Sweep
 from jaxscp.monte_carlo.stopping import Ending, Observed, Stop
@@ -234,15 +234,16 @@ def _known(arrays: dict[str, Any], name: str) -> str:
     return name
 
 
-def rerun(sweep: Sweep | Study, number: int) -> Any:
+def rerun(sweep: Sweep | Study, number: int, evaluator: Evaluator | None = None) -> Any:
     """Run one case again, and return all that ``study.run`` returns: a ``Solution``, say.
 
-    On the machine of the sweep, the numbers are bitwise those of ``InProcess()`` and ``Processes()``, which run single
-    cases. Those of ``Together`` differ by the rounding of another program.
+    The numbers are bitwise the stored ones on the same machine, if the engine ran single cases (``OneByOne``). After
+    ``Together``, they agree to rounding; ``rerun(sweep, number, Together(size))`` runs the batch's own program.
 
     Args:
         sweep: with its study, or the study.
         number: of the case.
+        evaluator: that runs it; the result is then an ``Outcome``. It takes a sweep, not a study.
 
     Raises:
         InvalidStudy: if there is no such case, or the sweep was opened without its study.
@@ -252,4 +253,15 @@ def rerun(sweep: Sweep | Study, number: int) -> Any:
         raise InvalidStudy(
             "rerun: the sweep was opened without its study; open_sweep(address, study) takes it."
         )
-    return study.run(study.case(number))
+    case = study.case(number)
+    if evaluator is None:
+        return study.run(case)
+    if isinstance(sweep, Study):
+        raise InvalidStudy("rerun: an evaluator needs the sweep, not the study alone.")
+    stored = sweep.layout.quantities
+    found, _ = evaluator.evaluate(study, np.array([number]), stored)
+    first = {name: array[0] for name, array in found.items()}
+    path = {name.partition(".")[2]: array for name, array in first.items() if stored[name].trajectory}
+    return Outcome(
+        {name: array for name, array in first.items() if not stored[name].trajectory}, path or None
+    )

@@ -70,7 +70,7 @@ def _function(function: types.FunctionType, above: tuple[int, ...]) -> dict[str,
 
 
 def _globals(function: types.FunctionType, above: tuple[int, ...]) -> dict[str, Any]:
-    """Values of the global names of a function that decide what it computes."""
+    """Values of global names that a function reads."""
     package = (function.__module__ or "").partition(".")[0]
     named = {
         name: function.__globals__[name] for name in _names(function.__code__) if name in function.__globals__

@@ -20,7 +20,7 @@ _CONVERGED = STATUS_NAMES.index("converged")
 
 
 class Outcome(NamedTuple):
-    """What a function of yours may return, where it has a trajectory too.
+    """Result of a function of yours: numbers and a trajectory.
 
     Args:
         scalars: a pytree of numbers. A boolean called ``success`` makes success shares.
@@ -100,7 +100,7 @@ def units_of(value: Any) -> dict[str, str]:
 
 
 def quantities(outcome: Outcome, units: dict[str, str]) -> dict[str, Quantity]:
-    """What is stored of every case, from the outcome of one, or its shapes."""
+    """Stored quantities of every case, from the outcome of one case or from its shapes."""
 
     def quantity(name: str, leaf: Any, trajectory: bool) -> Quantity:
         dtype = str(leaf.dtype if hasattr(leaf, "dtype") else np.asarray(leaf).dtype)

@@ -1,4 +1,4 @@
-"""Samplers: which uniform numbers a case gets. Those of case n depend on the sampler and n alone."""
+"""Samplers: which uniform numbers a case gets. The numbers of case n depend on the sampler and n alone."""
 
 import dataclasses
 import functools

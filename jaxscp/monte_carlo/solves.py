@@ -1,4 +1,4 @@
-"""Solving a problem of one's own, as what a study runs."""
+"""Solving a problem of one's own, for the field ``run`` of a study."""
 
 from collections.abc import Callable
 from typing import Any

@@ -69,7 +69,7 @@ def summarise(sweep: Sweep, confidence: float = CONFIDENCE, resamples: int = RES
 
     Args:
         sweep: its results.
-        confidence: of all intervals; that of the share is a stop rule's own, where one ended the sweep.
+        confidence: of all intervals. A stop rule that ended the sweep gives the share's interval itself.
         resamples: of the bootstrap (``scipy.stats.bootstrap``, percentile method); 0 for no intervals of quantiles.
     """
     results = {name: sweep.values(name) for name in sweep.results}

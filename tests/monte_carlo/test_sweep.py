@@ -263,6 +263,9 @@ def test_many_at_once_pads_and_agrees(tmp_path):
     a = mc.sweep(dice.study(50, run=run), tmp_path / "a", engine=together, chunk=40)
     b = mc.sweep(dice.study(50, run=run), tmp_path / "b", chunk=7)
     xarray.testing.assert_allclose(a.dataset(), b.dataset(), rtol=ROUNDING)
+    for number in (0, 17, 49):  # the padded batch has the same bits
+        again = mc.rerun(a, number, mc.Together(size=16))
+        assert float(again.scalars["range"]) == a.values("range")[number]
 
 
 def test_functions_with_lazy_packages_travel():
