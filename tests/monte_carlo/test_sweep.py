@@ -309,3 +309,19 @@ def test_a_budget_ends_and_goes_on(tmp_path):
     first = mc.sweep(dice.study(100), tmp_path / "s", stop=(mc.Budget(1e-9),), chunk=10)
     assert first.complete == 10
     assert mc.sweep(dice.study(100), tmp_path / "s").complete == 100
+
+
+def test_heavy_packages_are_imported_on_use_only():
+    code = (
+        "import sys, jaxscp; from jaxscp import monte_carlo as mc; mc.Study, mc.sweep, mc.Sweep, mc.summarise\n"
+        "print(sorted({'zarr', 'xarray', 'pandas', 'pyarrow', 'SALib', 'dask', 'distributed'} & set(sys.modules)))"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("package", ["zarr", "filelock", "fsspec.core"])
+def test_a_missing_extra_names_the_command_that_installs_it(tmp_path, monkeypatch, package):
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(ImportError, match=r"pip install 'jaxscp\[sweeps\]'"):
+        mc.sweep(dice.study(), tmp_path / "s")
