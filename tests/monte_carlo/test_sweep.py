@@ -325,3 +325,28 @@ def test_a_missing_extra_names_the_command_that_installs_it(tmp_path, monkeypatc
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(ImportError, match=r"pip install 'jaxscp\[sweeps\]'"):
         mc.sweep(dice.study(), tmp_path / "s")
+
+
+ON_TWO_DEVICES = """
+import sys, jax, numpy as np
+jax.config.update("jax_enable_x64", True)
+import jax.numpy as jnp
+from jaxscp import monte_carlo as mc
+
+def run(case):
+    return mc.Outcome({"y": jnp.sin(case["x"])}, {"path": case["x"] * jnp.arange(3.0)})
+
+study = mc.Study(run, {"x": 0.0}, [mc.Parameter("x", mc.Uniform(0.0, 1.0))], mc.Independent(50, 1))
+both = mc.InProcess(mc.Together(size=16, devices=tuple(jax.devices())))
+found = mc.sweep(study, sys.argv[1], engine=both, keep=mc.AllTrajectories(), chunk=40)
+assert len(jax.devices()) == 2
+np.testing.assert_allclose(found.values("y"), np.sin(found.values("x")), rtol=1e-12)
+np.testing.assert_array_equal(found.trajectory(49)["path"], found.values("x")[49] * np.arange(3.0))
+"""
+
+
+def test_several_devices_share_a_batch(tmp_path):
+    environment = os.environ | {"XLA_FLAGS": "--xla_force_host_platform_device_count=2"}
+    code = [sys.executable, "-c", ON_TWO_DEVICES, str(tmp_path / "s")]
+    found = subprocess.run(code, env=environment, capture_output=True, text=True, check=False)
+    assert found.returncode == 0, found.stderr
