@@ -126,3 +126,13 @@ def test_the_summary(tmp_path):
     assert found.violations["violation"] == np.max(np.abs(x - 0.5)[x > 0.25])
     assert found.worst[0] == np.argmin(x)  # the failure with the greatest violation
     assert "success: " in str(found)
+
+
+def test_intervals_of_a_mean_cover_under_the_stop_rule():
+    """Student's interval of skewed values; 1000 sweeps leave a standard error of 0.7 %."""
+    rng, held = np.random.default_rng(4), 0
+    for _ in range(1000):
+        values = rng.exponential(size=400)
+        found = mc.NarrowMean("cost", 0.25, first=100).ended(seen(values, 400))
+        held += found.interval.lower <= 1.0 <= found.interval.upper
+    assert 0.93 < held / 1000 < 0.98
