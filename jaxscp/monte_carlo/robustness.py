@@ -121,7 +121,7 @@ def draw_robustness(found: Robustness) -> "Figure":
     states = np.asarray(found.sweep.store.arrays["trajectory.state"][:])[found.sweep.numbers]
     figure = Figure(figsize=(5.0, 5.5), dpi=DPI, layout="constrained")
     for ax, up, name in zip(figure.subplots(2, 1, sharex=True), (1, 2), "yz", strict=True):
-        for flag, colour, label in ((True, GREY, "within limits"), (False, VERMILLION, "not")):
+        for flag, colour, label in ((False, VERMILLION, "not"), (True, GREY, "within limits")):
             chosen = states[success == flag]
             for i, state in enumerate(chosen):
                 text = f"{len(chosen)} {label}" if i == 0 else None
