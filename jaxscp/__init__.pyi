@@ -78,6 +78,9 @@ from . import plot as plot
 # --- feedback ---
 from . import control as control
 
+# --- many cases ---
+from . import monte_carlo as monte_carlo
+
 # --- compile, store, load ---
 from .aot.aot import CompiledPlanner as CompiledPlanner
 from .solver.compiled import CompiledSolver as CompiledSolver

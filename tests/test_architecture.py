@@ -23,7 +23,7 @@ LAYERS = (
     ("cli",),
 )
 LAYER = {room: number for number, rooms in enumerate(LAYERS, start=1) for room in rooms} | {"__main__": 13}
-MOST_ROOMS, MOST_ARROWS, MOST_FLOORS = 24, 85, 11
+MOST_ROOMS, MOST_ARROWS, MOST_FLOORS = 24, 98, 12  # about four arrows a room
 MOST_LINES, MOST_FUNCTION_LINES, MOST_ARGUMENTS = 300, 50, 7
 CONES = {"Cone", "Zero", "NonNegative", "SecondOrder", "SymmetricCone"}
 
@@ -38,6 +38,8 @@ PRIVATE = re.compile(
     r"tiles?|published|fly|kink|followed|unit_of|owes)($|_)",
     re.IGNORECASE,
 )
+# The word that belongs to Monte Carlo.
+OWN_WORD = re.compile(r"sweeps?", re.IGNORECASE)
 # Words that have a standard meaning too: they may not stand in the old one.
 PRIVATE_IN_FILE = {
     "scp/newton.py": {"polish", "finish", "reached", "near", "slack", "past", "exact"},
@@ -255,7 +257,8 @@ def identifiers(file: Path):
 @pytest.mark.parametrize("file", files(), ids=lambda file: str(file.relative_to(ROOT)))
 def test_identifiers_are_the_fields_own(file):
     names = set(identifiers(file))
-    assert not {name for name in names if PRIVATE.search(name)}
+    own = OWN_WORD if room_of(file) in ("monte_carlo", "cli") else None
+    assert not {name for name in names if PRIVATE.search(name if own is None else own.sub("", name))}
     assert not names & PRIVATE_IN_FILE.get(file.relative_to(ROOT).as_posix(), set())
 
 

@@ -21,6 +21,7 @@ from jaxscp.cli.map_options import MapOptions, closed_gap, gap_text
 from jaxscp.cli.options import with_options
 from jaxscp.cli.report import converged, map_facts, print_report, report, timed
 from jaxscp.cli.requests import CASES, CLEARANCE, JSON, MODES, RATE, MapRequest, PlanRequest
+from jaxscp.cli.sweep_command import SweepRequest
 from jaxscp.core.version import __version__
 from jaxscp.corridor import CorridorResult, MapReport, PointCloud, box, build_corridor, draw_map
 from jaxscp.landing import scenarios
@@ -118,6 +119,16 @@ def map_command(request: MapRequest) -> None:
     if request.picture is not None:
         draw_map(cloud, facts, start=request.start, goal=request.goal).savefig(request.picture, dpi=80)
     raise typer.Exit(0 if facts.accepted else 2)
+
+
+@app.command(name="sweep")
+@with_options(SweepRequest)
+def sweep_command(request: SweepRequest) -> None:
+    """Run many cases of a study that scatters, and print statistics; the same command goes on where it was ended.
+
+    Exit code: 0 if the sweep is finished, 2 if the request was wrong, 130 after Ctrl-C.
+    """
+    request.run()
 
 
 def _write_files(request: PlanRequest, scenario: LandingScenario, solution: Solution) -> None:

@@ -36,7 +36,7 @@ CLEARANCE = CorridorOptions().clearance
 RATE = 100  # rows a second of a table
 
 
-def _writable(path: Path | None) -> Path | None:
+def writable(path: Path | None) -> Path | None:
     """Try to write before compiling for minutes; leaves no file behind."""
     if path is None:
         return None
@@ -66,7 +66,7 @@ def _picture(path: Path | None) -> Path | None:
         kinds = FigureCanvasBase.get_supported_filetypes()
         if path.suffix.lstrip(".").lower() not in kinds:
             raise typer.BadParameter(f"{path} is no picture; end its name in .{', .'.join(sorted(kinds))}")
-    return _writable(path)
+    return writable(path)
 
 
 _MODE = typer.Option(callback=known(MODES, "mode"), metavar="NAME", help=one_of(MODES))
@@ -85,9 +85,9 @@ _CLEARANCE = typer.Option(
     metavar="LENGTH",
     help=f"Distance to keep besides the radius, and radius of overlaps, {CLEARANCE:g} by default, m.",
 )
-_SAVE = typer.Option(callback=_writable, help="Write the trajectory (.npz).", metavar="FILE")
+_SAVE = typer.Option(callback=writable, help="Write the trajectory (.npz).", metavar="FILE")
 _CSV = typer.Option(
-    callback=_writable, help=f"Write {RATE} states and thrusts a second (.csv).", metavar="FILE"
+    callback=writable, help=f"Write {RATE} states and thrusts a second (.csv).", metavar="FILE"
 )
 _PLOT = typer.Option(callback=_picture, help="Write a picture (.png, .pdf).", metavar="FILE")
 _MASS = typer.Option(callback=positive, metavar="MASS", help="Of the vehicle instead of its own, kg.")
@@ -98,7 +98,7 @@ _TIME_WEIGHT = typer.Option(
     metavar="WEIGHT",
     help="Weight of the flight time in the cost; that of the control is 1.",
 )
-_CACHE = typer.Option(
+CACHE = typer.Option(
     callback=_cached, help="Store compiled programs here for the next run.", metavar="FOLDER"
 )
 JSON = typer.Option("--json", help="Print one JSON object instead of tables.")
@@ -123,7 +123,7 @@ class PlanRequest(MapOptions):
     save: Annotated[Path | None, _SAVE] = None
     csv: Annotated[Path | None, _CSV] = None
     plot: Annotated[Path | None, _PLOT] = None
-    cache: Annotated[Path | None, _CACHE] = None
+    cache: Annotated[Path | None, CACHE] = None
     as_json: Annotated[bool, JSON] = False
 
     def changed(self, scenario: LandingScenario) -> LandingScenario:

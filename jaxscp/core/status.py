@@ -86,6 +86,10 @@ _NAMES = (
 )
 
 
+STATUS_NAMES = _NAMES
+"""All names, in the order of the codes."""
+
+
 def status_names(status: StatusCode):
     """Short names of a status, for tables and files: a string, or an array of strings for a batch."""
     # as NumPy's numbers: to compare statuses themselves, JAX would compile a program

@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 import jaxscp
 from jaxscp.cli import app as cli
+from jaxscp.cli.sweep_config import read_config
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
@@ -28,6 +29,7 @@ MARKS = {  # pages that compile for more than some seconds; pages that compile t
     "docs/maps.md": SLOW,
     "docs/compile.md": SLOW,
     "docs/control.md": SLOW,
+    "docs/sweeps.md": SLOW,
     "docs/batches.md": NIGHTLY,
     "docs/gradients.md": NIGHTLY,
     "docs/converged.md": NIGHTLY,
@@ -58,6 +60,9 @@ def test_every_block_of_the_page_runs(page, tmp_path, monkeypatch):
         elif language == "sh":
             for line in block.splitlines():
                 run(line)
+        elif language == "toml":
+            (tmp_path / "page.toml").write_text(block)
+            assert read_config(tmp_path / "page.toml").study.count > 0
         else:
             assert language == "", f"{page}: a block in {language!r} is not run"
     for name, value in namespace.items():
@@ -124,7 +129,7 @@ def test_every_option_of_maps_is_explained():
 def test_every_public_name_is_in_the_reference():
     text = "".join(PAGES[name] for name in PAGES if name.startswith("docs/reference/"))
     named = set(re.findall(r"^::: jaxscp\.([\w.]+)$", text, flags=re.MULTILINE))
-    rooms = ("conic", "control", "corridor", "plot")
+    rooms = ("conic", "control", "corridor", "monte_carlo", "plot")
     parts = {"airframes", "scenarios"}  # modules: their functions are there by name
     assert set(jaxscp.__all__) - set(rooms) - parts <= named
     for room in rooms:

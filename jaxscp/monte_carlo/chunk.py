@@ -1,0 +1,91 @@
+"""The computation of one chunk of cases: draw, run, and write."""
+
+import dataclasses
+import time
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from jaxscp.monte_carlo.outcome import SUCCESS, Quantity
+from jaxscp.monte_carlo.sampling import Numbers
+from jaxscp.monte_carlo.storage import STORED, Layout, Store
+from jaxscp.monte_carlo.study import Study
+from jaxscp.monte_carlo.trajectories import Keep
+
+
+@runtime_checkable
+class Evaluator(Protocol):
+    """Runs a study's cases in this process."""
+
+    def quantities(self, study: Study) -> dict[str, Quantity]:
+        """What a case results in."""
+        ...
+
+    def evaluate(
+        self, study: Study, numbers: Numbers, stored: dict[str, Quantity]
+    ) -> tuple[dict[str, np.ndarray], float]:
+        """Results of some cases by name, (cases, ...) each, and seconds inside ``study.run``."""
+        ...
+
+
+@dataclasses.dataclass(frozen=True)
+class ChunkReport:
+    """A finished chunk."""
+
+    index: int
+    cases: int
+    successes: int
+    """Zero if the results have no success."""
+    seconds: float
+    """All of it."""
+    busy: float
+    """Inside ``study.run``."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ChunkJob:
+    """Computes chunks of a sweep, in any process."""
+
+    study: Study
+    evaluator: Evaluator
+    store: Store
+    layout: Layout
+    keep: Keep
+
+    def run(self, index: int) -> ChunkReport:
+        """Compute and write a chunk."""
+        began = time.perf_counter()
+        cases = self.layout.cases(index)
+        numbers = np.arange(cases.start, cases.stop)
+        drawn = self.study.values(numbers)
+        found, busy = self.evaluator.evaluate(self.study, numbers, self.layout.quantities)
+        success = found.get(SUCCESS, np.zeros(len(numbers), bool)).astype(bool)
+        values = {name: drawn[:, i] for i, name in enumerate(self.study.names)}
+        values |= self._stored(found, numbers, success)
+        self.store.write_values(cases.start, values)
+        report = ChunkReport(index, len(numbers), int(np.sum(success)), time.perf_counter() - began, busy)
+        facts = {
+            "cases": report.cases,
+            "successes": report.successes,
+            "seconds": report.seconds,
+            "busy": busy,
+        }
+        self.store.write_marker(index, values, facts)
+        return report
+
+    def _stored(
+        self, found: dict[str, np.ndarray], numbers: np.ndarray, success: np.ndarray
+    ) -> dict[str, np.ndarray]:
+        """Results without the trajectories that are not kept."""
+        paths = {name for name, quantity in self.layout.quantities.items() if quantity.trajectory}
+        values = {name: array for name, array in found.items() if name not in paths}
+        if not paths:
+            return values
+        chosen = self.keep.chosen(numbers, success)
+        values[STORED] = chosen
+        if np.any(chosen):
+            for name in paths:
+                rows = chosen.reshape(-1, *([1] * (found[name].ndim - 1)))
+                fill = np.nan if np.issubdtype(found[name].dtype, np.floating) else 0
+                values[name] = np.where(rows, found[name], np.asarray(fill, found[name].dtype))
+        return values

@@ -1,0 +1,267 @@
+"""``sweep``: run a study, store it, and go on where an earlier call was ended."""
+
+import contextlib
+import dataclasses
+import os
+import time
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxscp.monte_carlo.chunk import ChunkJob, ChunkReport, Evaluator
+from jaxscp.monte_carlo.engines import Engine, InProcess
+from jaxscp.monte_carlo.errors import InvalidStudy, SweepError, extra
+from jaxscp.monte_carlo.intervals import wilson
+from jaxscp.monte_carlo.outcome import SUCCESS, Outcome
+from jaxscp.monte_carlo.progress import Progress, Silent, Snapshot
+from jaxscp.monte_carlo.results import Sweep
+from jaxscp.monte_carlo.stopping import Ending, Observed, Stop
+from jaxscp.monte_carlo.storage import CONFIGURATION, ENDING, LOCK, Layout, Store, marker
+from jaxscp.monte_carlo.study import Study
+from jaxscp.monte_carlo.trajectories import Keep, NoTrajectories
+
+CHUNK = 100
+
+
+def sweep(
+    study: Study,
+    address: str | os.PathLike,
+    *,
+    engine: Engine = InProcess(),  # noqa: B008
+    keep: Keep = NoTrajectories(),  # noqa: B008
+    stop: tuple[Stop, ...] = (),
+    progress: Progress | None = None,
+    chunk: int = CHUNK,
+) -> Sweep:
+    """Run all cases of a study that its folder does not hold yet.
+
+    The same call continues one that was ended at any moment: complete chunks are kept, all others computed.
+
+    Args:
+        study: what is run.
+        address: a folder, or any address of fsspec.
+        engine: ``InProcess()``, ``Processes(count)`` or ``Workers(executor)``.
+        keep: which trajectories are stored: ``AllTrajectories()``, ``FailedTrajectories()`` or ``EveryNth(n)``.
+        stop: rules that end it early: ``NarrowShare(width)``, ``NarrowMean(of, width)`` or ``Budget(seconds)``.
+        progress: ``Bar()``, ``Lines()`` or ``JSONLines()``.
+        chunk: cases that are written together. A folder keeps its own.
+
+    Raises:
+        InvalidStudy: if the study contradicts itself, or a rule needs independent cases.
+        SweepError: if the folder holds another study, or another process writes to it, or it cannot be written.
+        ImportError: if the extra ``sweeps`` is missing.
+
+    Example:
+        >>> import tempfile
+        >>> from jaxscp import monte_carlo as mc
+        >>> study = mc.Study(
+        ...     run=lambda dice: {"success": dice["sum"] > 0.25},
+        ...     base={"sum": 0.5},
+        ...     parameters=(mc.Parameter(lambda d: d["sum"], mc.Uniform(0.0, 1.0)),),
+        ...     sampling=mc.Independent(200, seed=3),
+        ... )
+        >>> result = mc.sweep(study, tempfile.mkdtemp() + "/dice")
+        >>> result.complete, 0.6 < float(result.dataset()["success"].mean()) < 0.9
+        (200, True)
+    """
+    _check(study, stop, chunk)
+    return _run(_Request(study, Store(address), engine, keep, tuple(stop), progress or Silent(), chunk))
+
+
+class _Request(NamedTuple):
+    """Arguments of ``sweep``."""
+
+    study: Study
+    store: Store
+    engine: Engine
+    keep: Keep
+    stop: tuple[Stop, ...]
+    progress: Progress
+    chunk: int
+
+
+def _run(asked: _Request) -> Sweep:
+    began, study, store = time.perf_counter(), asked.study, asked.store
+    try:
+        with _writing(store), asked.engine.opened() as opened:
+            run = _Run(_prepared(asked, opened), asked.stop, asked.progress, began)
+            run.go(opened)
+            run.end()
+    except KeyboardInterrupt:
+        count = Sweep(store).complete if store.read(CONFIGURATION) else 0
+        asked.progress.message(
+            f"ended: {count} of {study.count} cases are stored; the same sweep goes on from there"
+        )
+        raise
+    except OSError as error:
+        raise SweepError(
+            f"{store.address}: cannot be written: {error}. Finished chunks are kept; mend the cause and run the same "
+            "sweep again."
+        ) from error
+    finally:
+        asked.progress.close()
+    return Sweep(store, study)
+
+
+def _check(study: Study, stop: tuple[Stop, ...], chunk: int) -> None:
+    if not isinstance(chunk, int) or chunk < 1:
+        raise InvalidStudy(f"chunk: must be a positive whole number, got {chunk!r}.")
+    for rule in stop:
+        if rule.independent and not study.sampling.independent:
+            raise InvalidStudy(
+                f"stop: the interval of {type(rule).__name__} holds for independent cases only; "
+                f"{type(study.sampling).__name__} takes its total from the study."
+            )
+
+
+def _prepared(asked: _Request, engine: Engine) -> ChunkJob:
+    study, store = asked.study, asked.store
+    identity = study.identity()
+    stored = store.read(CONFIGURATION)
+    if stored is not None:
+        store.check(stored, identity)
+        layout = Layout.of(stored)
+    else:
+        store.check_empty()
+        units = {parameter.name: parameter.unit for parameter in study.parameters}
+        found = engine.quantities(study)
+        if both := sorted(set(units) & set(found)):
+            raise InvalidStudy(
+                f"parameters: {both[0]!r} is the name of a result too; name the parameter otherwise."
+            )
+        layout = Layout(study.count, min(asked.chunk, study.count), units, found)
+        store.create(identity, layout)
+    return ChunkJob(study, engine.evaluator, store, layout, asked.keep)
+
+
+@contextlib.contextmanager
+def _writing(store: Store) -> Iterator[None]:
+    """Nobody else writes to a local folder meanwhile; the lock ends with the process, however that ends."""
+    if not store.local:
+        yield
+        return
+    filelock = extra("filelock")
+    fs, root = store.files
+    fs.makedirs(root, exist_ok=True)
+    try:
+        with filelock.FileLock(f"{root}/{LOCK}", timeout=0):
+            yield
+    except filelock.Timeout as error:
+        raise SweepError(
+            f"{store.address}: another process writes to this folder now. Wait for its end, or name another folder."
+        ) from error
+
+
+class _Run:
+    """One call of ``sweep``: which chunks are done, and whether that is enough."""
+
+    def __init__(self, job: ChunkJob, stop: tuple[Stop, ...], progress: Progress, began: float):
+        self.job, self.stop, self.progress, self.began = job, stop, progress, began
+        self.done: dict[int, int] = {}
+        """Successes of each finished chunk."""
+        self.fresh, self.ending = 0, None
+        self._sound()
+
+    def _sound(self) -> None:
+        """Read finished chunks back; those that do not agree with their checksum are computed again."""
+        store, layout = self.job.store, self.job.layout
+        for index in store.done():
+            if store.sound(index, layout.cases(index)):
+                about = store.read(marker(index)) or {}
+                self.done[index] = about["successes"]
+            else:
+                self.progress.message(f"chunk {index} is damaged, and computed again")
+
+    def go(self, engine: Engine) -> None:
+        """Compute what is missing, until a rule ends it."""
+        missing = [index for index in range(self.job.layout.chunks) if index not in self.done]
+        if self._enough() or not missing:
+            return
+        reports = engine.chunks(self.job, missing)
+        with contextlib.closing(reports) if hasattr(reports, "close") else contextlib.nullcontext():  # pyright: ignore[reportArgumentType]
+            for report in reports:
+                self._take(report)
+                if self._enough():
+                    break
+
+    def _take(self, report: ChunkReport) -> None:
+        self.done[report.index] = report.successes
+        self.fresh += report.cases
+        self.progress.update(self.snapshot())
+
+    def complete(self) -> int:
+        """Cases 0 to this number less one are all done."""
+        layout = self.job.layout
+        first = next((i for i in range(layout.chunks) if i not in self.done), layout.chunks)
+        return min(first * layout.chunk, layout.count)
+
+    def _enough(self) -> bool:
+        complete = self.complete()
+        arrays = self.job.store.arrays
+        seen = Observed(
+            complete,
+            self.job.layout.count,
+            time.perf_counter() - self.began,
+            lambda name, n: np.asarray(arrays[_known(arrays, name)][:n]),
+        )
+        found = [ending for rule in self.stop if (ending := rule.ended(seen)) is not None]
+        self.ending = min(found, key=lambda ending: ending.cases, default=None)
+        return self.ending is not None
+
+    def end(self) -> None:
+        """Store where the sweep ended."""
+        count = self.job.layout.count
+        ending = self.ending or Ending(count, "all cases are computed")
+        interval = ending.interval and list(ending.interval)
+        self.job.store.write(ENDING, dataclasses.asdict(ending) | {"interval": interval})
+
+    def snapshot(self) -> Snapshot:
+        """For progress."""
+        layout = self.job.layout
+        sizes = {i: layout.cases(i).stop - layout.cases(i).start for i in self.done}
+        done, successes = sum(sizes.values()), sum(self.done.values())
+        known = SUCCESS in layout.quantities
+        rate = self.fresh / max(time.perf_counter() - self.began, 1e-9)
+        share = wilson(successes, done) if known and self.job.study.sampling.independent else None
+        left = (layout.count - done) / rate if rate > 0 else None
+        return Snapshot(done, layout.count, done - successes if known else None, share, rate, left)
+
+
+def _known(arrays: dict[str, Any], name: str) -> str:
+    if name not in arrays:
+        raise InvalidStudy(f"stop: no result is called {name!r}; there are {', '.join(sorted(arrays))}.")
+    return name
+
+
+def rerun(sweep: Sweep | Study, number: int, evaluator: Evaluator | None = None) -> Any:
+    """Run one case again, and return all that ``study.run`` returns: a ``Solution``, say.
+
+    The numbers are bitwise the stored ones on the same machine, if the engine ran single cases (``OneByOne``). After
+    ``Together``, they agree to rounding; ``rerun(sweep, number, Together(size))`` runs the batch's own program.
+
+    Args:
+        sweep: with its study, or the study.
+        number: of the case.
+        evaluator: that runs it; the result is then an ``Outcome``. It takes a sweep, not a study.
+
+    Raises:
+        InvalidStudy: if there is no such case, or the sweep was opened without its study.
+    """
+    study = sweep if isinstance(sweep, Study) else sweep.study
+    if study is None:
+        raise InvalidStudy(
+            "rerun: the sweep was opened without its study; open_sweep(address, study) takes it."
+        )
+    case = study.case(number)
+    if evaluator is None:
+        return study.run(case)
+    if isinstance(sweep, Study):
+        raise InvalidStudy("rerun: an evaluator needs the sweep, not the study alone.")
+    stored = sweep.layout.quantities
+    found, _ = evaluator.evaluate(study, np.array([number]), stored)
+    first = {name: array[0] for name, array in found.items()}
+    path = {name.partition(".")[2]: array for name, array in first.items() if stored[name].trajectory}
+    return Outcome(
+        {name: array for name, array in first.items() if not stored[name].trajectory}, path or None
+    )

@@ -1,0 +1,220 @@
+"""Who computes the chunks: this process, or workers behind any ``concurrent.futures.Executor``."""
+
+import concurrent.futures
+import contextlib
+import dataclasses
+import functools
+import importlib
+import io
+import os
+import pickle
+import sys
+import types
+from collections.abc import Iterable, Iterator
+from typing import Any, Protocol, runtime_checkable
+
+import jax
+
+from jaxscp.aot import cache_folder
+from jaxscp.monte_carlo.chunk import ChunkJob, ChunkReport, Evaluator
+from jaxscp.monte_carlo.errors import SweepError, extra
+from jaxscp.monte_carlo.evaluators import OneByOne
+from jaxscp.monte_carlo.outcome import Quantity
+from jaxscp.monte_carlo.study import Study
+
+
+@runtime_checkable
+class Engine(Protocol):
+    """Computes chunks in any order."""
+
+    @property
+    def evaluator(self) -> Evaluator:
+        """How each process runs its cases."""
+        ...
+
+    def opened(self) -> Any:
+        """A context, in which the engine computes."""
+        ...
+
+    def quantities(self, study: Study) -> dict[str, Quantity]:
+        """What a case results in."""
+        ...
+
+    def chunks(self, job: ChunkJob, indices: Iterable[int]) -> Iterator[ChunkReport]:
+        """Compute chunks, and yield a report of each."""
+        ...
+
+
+@dataclasses.dataclass(frozen=True)
+class InProcess:
+    """This process.
+
+    Args:
+        evaluator: ``OneByOne()``, or ``Together(size)`` for GPUs.
+    """
+
+    evaluator: Evaluator = OneByOne()  # noqa: RUF009
+
+    def opened(self) -> Any:
+        """See ``Engine``."""
+        return contextlib.nullcontext(self)
+
+    def quantities(self, study: Study) -> dict[str, Quantity]:
+        """See ``Engine``."""
+        return self.evaluator.quantities(study)
+
+    def chunks(self, job: ChunkJob, indices: Iterable[int]) -> Iterator[ChunkReport]:
+        """See ``Engine``."""
+        return map(job.run, indices)
+
+
+@dataclasses.dataclass(frozen=True)
+class Workers:
+    """Anything with the interface of ``concurrent.futures.Executor``: of Dask, ``client.get_executor()``.
+
+    Args:
+        executor: workers that can import jaxscp, and write to the sweep's folder.
+        evaluator: how each worker runs its cases.
+        in_flight: chunks that are handed out at a time; twice the number of workers keeps them busy.
+    """
+
+    executor: Any
+    evaluator: Evaluator = OneByOne()  # noqa: RUF009
+    in_flight: int = 2 * (os.cpu_count() or 1)
+
+    def opened(self) -> Any:
+        """See ``Engine``."""
+        return contextlib.nullcontext(self)
+
+    def quantities(self, study: Study) -> dict[str, Quantity]:
+        """See ``Engine``."""
+        payload = _packed((study, self.evaluator))
+        return self.executor.submit(_quantities, payload).result()
+
+    def chunks(self, job: ChunkJob, indices: Iterable[int]) -> Iterator[ChunkReport]:
+        """See ``Engine``."""
+        payload, pending, rest = _packed(job), set(), iter(indices)
+        try:
+            while True:
+                for index in rest:
+                    pending.add(self.executor.submit(_run, payload, index))
+                    if len(pending) >= self.in_flight:
+                        break
+                if not pending:
+                    return
+                done, pending = concurrent.futures.wait(pending, return_when="FIRST_COMPLETED")
+                for future in done:
+                    yield future.result()
+        except concurrent.futures.BrokenExecutor as error:
+            raise SweepError(
+                "a worker process ended, perhaps for lack of memory. Finished chunks are stored: run the same sweep "
+                "again, with fewer workers perhaps."
+            ) from error
+        finally:
+            for future in pending:
+                future.cancel()
+
+
+@dataclasses.dataclass(frozen=True)
+class Processes:
+    """Processes of this machine, each on its own cores: on a CPU faster than one process with threads.
+
+    Each process compiles for itself; ``jaxscp.use_cache`` lets them share.
+
+    Args:
+        count: of processes; the number of usable cores by default.
+        evaluator: how each runs its cases.
+    """
+
+    count: int = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
+    evaluator: Evaluator = OneByOne()  # noqa: RUF009
+
+    @contextlib.contextmanager
+    def opened(self) -> Iterator[Workers]:
+        """See ``Engine``: starts the processes, and ends them."""
+        context = extra("multiprocessing").get_context(
+            "spawn"
+        )  # a fork would copy JAX's threads in any state
+        counter = context.Value("i", 0)
+        pool = concurrent.futures.ProcessPoolExecutor(
+            self.count, mp_context=context, initializer=_started, initargs=(counter, self.count, os.getpid())
+        )
+        try:
+            yield Workers(pool, self.evaluator, 2 * self.count)
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+    def quantities(self, study: Study) -> dict[str, Quantity]:
+        """See ``Engine``: the opened engine is asked."""
+        raise NotImplementedError
+
+    def chunks(self, job: ChunkJob, indices: Iterable[int]) -> Iterator[ChunkReport]:
+        """See ``Engine``: the opened engine computes."""
+        raise NotImplementedError
+
+
+def _started(counter: Any, count: int, parent: int) -> None:
+    """Set up a worker: its cores, no answer to Ctrl-C (the parent answers), and an end with the parent's."""
+    import signal
+    import threading
+    import time
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with counter.get_lock():
+        number = counter.value
+        counter.value += 1
+    if hasattr(os, "sched_setaffinity"):
+        cores = sorted(os.sched_getaffinity(0))
+        share = cores[number % count :: count] or cores
+        os.sched_setaffinity(0, share)
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(1.0)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def _packed(value: Any) -> bytes:
+    """A value, functions of notebooks included, with the settings that it needs."""
+
+    class Pickler(extra("cloudpickle").Pickler):
+        """Packages that import lazily have a class of their own, which cloudpickle does not know."""
+
+        def reducer_override(self, obj: Any) -> Any:
+            if (
+                isinstance(obj, types.ModuleType)
+                and obj is sys.modules.get(obj.__name__)
+                and not _is_main(obj)
+            ):
+                return importlib.import_module, (obj.__name__,)
+            return super().reducer_override(obj)
+
+    stream = io.BytesIO()
+    Pickler(stream).dump(value)
+    double = bool(jax.config.jax_enable_x64)  # pyright: ignore[reportAttributeAccessIssue]
+    return pickle.dumps((double, cache_folder.folder(), stream.getvalue()))
+
+
+def _is_main(module: types.ModuleType) -> bool:
+    return module.__name__ == "__main__"
+
+
+@functools.lru_cache(maxsize=2)
+def _unpacked(payload: bytes) -> Any:
+    """The value; the same object in each call, so that its functions compile once."""
+    double, folder, value = pickle.loads(payload)
+    jax.config.update("jax_enable_x64", double)  # as the caller's process, and before arrays are made
+    if folder is not None and cache_folder.folder() != folder:
+        cache_folder.use_cache(folder)
+    return pickle.loads(value)
+
+
+def _quantities(payload: bytes) -> dict[str, Quantity]:
+    study, evaluator = _unpacked(payload)
+    return evaluator.quantities(study)
+
+
+def _run(payload: bytes, index: int) -> ChunkReport:
+    return _unpacked(payload).run(index)

@@ -1,0 +1,134 @@
+"""How one process runs cases: one after another, or many at once under ``vmap``."""
+
+import dataclasses
+import functools
+import time
+from typing import Any
+
+import jax
+import numpy as np
+from jax.sharding import PartitionSpec
+
+from jaxscp.core.status import STATUS_NAMES
+from jaxscp.monte_carlo.errors import SweepError
+from jaxscp.monte_carlo.outcome import (
+    STATUS,
+    Outcome,
+    Quantity,
+    as_arrays,
+    outcome_of,
+    quantities,
+    traced_arrays,
+    units_of,
+)
+from jaxscp.monte_carlo.sampling import Numbers
+from jaxscp.monte_carlo.study import ById, Study
+from jaxscp.problem.errors import InvalidProblem, InvalidScenario
+
+
+@dataclasses.dataclass(frozen=True)
+class OneByOne:
+    """A loop over single cases: fastest on a CPU, and the way for functions that are not JAX."""
+
+    def quantities(self, study: Study) -> dict[str, Quantity]:
+        """See ``Evaluator``. Runs the base once, which also compiles."""
+        value = jax.block_until_ready(study.run(study.base))
+        return quantities(outcome_of(value), units_of(value) | dict(study.units))
+
+    def evaluate(
+        self, study: Study, numbers: Numbers, stored: dict[str, Quantity]
+    ) -> tuple[dict[str, np.ndarray], float]:
+        """See ``Evaluator``.
+
+        Raises:
+            SweepError: if the function fails; the message names the case.
+        """
+        rows, busy = [], 0.0
+        for number, drawn in zip(numbers, study.values(numbers), strict=True):
+            case = study.insert(drawn)
+            began = time.perf_counter()
+            try:
+                value = jax.block_until_ready(study.run(case))
+                busy += time.perf_counter() - began
+                rows.append(
+                    as_arrays(outcome_of(jax.device_get(value)))
+                )  # one copy, and no compiled indexing
+            except (InvalidScenario, InvalidProblem) as error:
+                if STATUS not in stored:
+                    raise SweepError(f"case {number}: {error}") from error
+                rows.append(_invalid(stored))  # as under vmap
+            except Exception as error:
+                raise SweepError(f"case {number}: run failed, {type(error).__name__}: {error}") from error
+        return {name: np.stack([row[name] for row in rows]) for name in rows[0]}, busy
+
+
+def _invalid(stored: dict[str, Quantity]) -> dict[str, np.ndarray]:
+    """Results of a case that contradicts itself: NaN, and the status that says so."""
+
+    def empty(quantity: Quantity) -> np.ndarray:
+        floating = np.issubdtype(quantity.dtype, np.floating)
+        return np.full(quantity.shape, np.nan if floating else 0, quantity.dtype)
+
+    code = np.asarray(STATUS_NAMES.index("invalid_input"), stored[STATUS].dtype)
+    return {name: empty(quantity) for name, quantity in stored.items()} | {STATUS: code}
+
+
+@dataclasses.dataclass(frozen=True)
+class Together:
+    """Many cases at once, by ``jax.vmap``; over several devices by ``jax.shard_map``. For GPUs.
+
+    Args:
+        size: cases of the compiled program; a last part is padded.
+        devices: of one platform; JAX's default one if empty.
+    """
+
+    size: int = 1024
+    devices: tuple[Any, ...] = ()
+
+    def __post_init__(self):
+        if self.size < 1 or self.size % max(len(self.devices), 1):
+            raise ValueError(
+                f"Together: size must be a positive multiple of {max(len(self.devices), 1)}, got {self.size}"
+            )
+
+    def quantities(self, study: Study) -> dict[str, Quantity]:
+        """See ``Evaluator``. Traces, and runs nothing."""
+        units: dict[str, str] = {}
+
+        def one(row: Any) -> Outcome:
+            value = study.run(study.insert(row))
+            units.update(units_of(value))
+            return outcome_of(value)
+
+        row = jax.ShapeDtypeStruct((len(study.parameters),), float)
+        return quantities(jax.eval_shape(one, row), units | dict(study.units))
+
+    def evaluate(
+        self, study: Study, numbers: Numbers, stored: dict[str, Quantity]
+    ) -> tuple[dict[str, np.ndarray], float]:
+        """See ``Evaluator``."""
+        values = study.values(numbers)
+        began, parts = time.perf_counter(), []
+        program = _batched(self, ById(study))
+        for start in range(0, len(values), self.size):
+            rows = values[start : start + self.size]
+            padded = np.concatenate([rows, np.repeat(rows[-1:], self.size - len(rows), axis=0)])
+            found = jax.device_get(program(padded))
+            parts.append({name: array[: len(rows)] for name, array in found.items()})
+        busy = time.perf_counter() - began
+        return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}, busy
+
+
+@functools.lru_cache(maxsize=2)
+def _batched(how: Together, key: ById) -> Any:
+    """The compiled program of a study's batch."""
+
+    def one(row: Any) -> dict[str, jax.Array]:
+        return traced_arrays(outcome_of(key.study.run(key.study.insert(row))))
+
+    if not how.devices:
+        return jax.jit(jax.vmap(one))
+    mesh = jax.sharding.Mesh(np.asarray(how.devices), ("cases",))
+    spec = PartitionSpec("cases")
+    # the loops of a solver end at other times on each device, and no device needs another's data
+    return jax.jit(jax.shard_map(jax.vmap(one), mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False))

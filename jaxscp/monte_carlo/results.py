@@ -1,0 +1,167 @@
+"""The results of a sweep: tables, single cases, and the way to statistics."""
+
+import os
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Int
+
+from jaxscp.core.status import STATUS_NAMES
+from jaxscp.monte_carlo.errors import InvalidStudy, SweepError, extra
+from jaxscp.monte_carlo.intervals import Interval
+from jaxscp.monte_carlo.outcome import STATUS
+from jaxscp.monte_carlo.stopping import Ending
+from jaxscp.monte_carlo.storage import CONFIGURATION, DATA, ENDING, STORED, Layout, Store
+from jaxscp.monte_carlo.study import Study
+from jaxscp.problem.trajectory import Trajectory
+
+_TRAJECTORY = "time", "state", "control", "dilation"
+
+
+class Sweep:
+    """The stored results of a sweep; ``sweep`` and ``open_sweep`` make it.
+
+    Args:
+        store: its folder.
+        study: that was run; None if it is not at hand.
+    """
+
+    def __init__(self, store: Store, study: Study | None = None):
+        stored = store.read(CONFIGURATION)
+        if stored is None:
+            raise SweepError(f"{store.address}: holds no sweep.")
+        self.store, self.study, self.layout = store, study, Layout.of(stored)
+        self.independent = stored["study"]["sampling"].get("independent") is True
+        """Whether cases are independent, so that intervals hold."""
+        ending = store.read(ENDING)
+        self.ending = None if ending is None else _ending(ending)
+        """Where the sweep ended, and why; None if it has not."""
+        done = [i for i in store.done() if i < self.layout.chunks]
+        cases = [np.arange(self.layout.cases(i).start, self.layout.cases(i).stop) for i in done]
+        numbers = np.concatenate([np.zeros(0, int), *cases])
+        self.numbers: Int[np.ndarray, "cases"] = (
+            numbers if ending is None else numbers[numbers < ending["cases"]]
+        )
+        """Cases of the tables."""
+
+    @property
+    def complete(self) -> int:
+        """Number of cases of the tables."""
+        return len(self.numbers)
+
+    @property
+    def parameters(self) -> list[str]:
+        """Names of what varies."""
+        return list(self.layout.parameters)
+
+    @property
+    def results(self) -> list[str]:
+        """Names of the numbers that each case results in."""
+        return [name for name, quantity in self.layout.quantities.items() if not quantity.trajectory]
+
+    def dataset(self, trajectories: bool = False) -> Any:
+        """Parameters and results as an ``xarray.Dataset`` over ``case``, with units.
+
+        Args:
+            trajectories: whether to add those that are stored; of other cases they are NaN.
+        """
+        xarray = extra("xarray")
+        found = xarray.open_zarr(
+            f"{self.store.address}/{DATA}",
+            chunks=None,
+            consolidated=False,
+            decode_times=False,
+            decode_timedelta=False,  # a time in seconds stays a number
+        )
+        if not trajectories:
+            found = found[[*self.parameters, *self.results, *([STORED] if STORED in found else [])]]
+        found = found.assign_coords(case=np.arange(self.layout.count)).isel(case=self.numbers)
+        if STATUS in found and "flag_meanings" in found[STATUS].attrs:
+            names = np.array(STATUS_NAMES, dtype=str)[found[STATUS].values]
+            found[STATUS] = ("case", names)
+        return found.load()
+
+    def to_pandas(self) -> Any:
+        """Parameters and results as a ``pandas.DataFrame``, a row a case."""
+        return self.dataset().to_dataframe()
+
+    def to_parquet(self, file: str | os.PathLike) -> None:
+        """Write the table of ``to_pandas`` to a Parquet file."""
+        extra("pyarrow")
+        self.to_pandas().to_parquet(file)
+
+    def values(self, name: str) -> np.ndarray:
+        """One parameter or result of all cases of the tables.
+
+        Raises:
+            SweepError: if there is no such name.
+        """
+        if name not in (known := [*self.parameters, *self.results]):
+            raise SweepError(f"no parameter or result is called {name!r}; there are {', '.join(known)}.")
+        return np.asarray(self.store.arrays[name][:])[self.numbers]
+
+    def trajectory(self, number: int) -> Any:
+        """The stored trajectory of a case: a ``Trajectory`` if it is one, else arrays by name.
+
+        Raises:
+            SweepError: if it is not stored; ``rerun`` computes it.
+        """
+        names = [name for name, quantity in self.layout.quantities.items() if quantity.trajectory]
+        if not names or number not in self.numbers or not bool(self.store.arrays[STORED][number]):
+            raise SweepError(
+                f"case {number}: its trajectory is not stored; rerun(sweep, {number}) computes it again."
+            )
+        arrays = {name.partition(".")[2]: np.asarray(self.store.arrays[name][number]) for name in names}
+        if set(arrays) == set(_TRAJECTORY):
+            time, state, control, dilation = (jnp.asarray(arrays[name]) for name in _TRAJECTORY)
+            return Trajectory(time, state, control, dilation)
+        return arrays
+
+    def with_trajectories(self) -> Int[np.ndarray, "stored"]:
+        """Cases whose trajectories are stored."""
+        if STORED not in self.store.arrays:
+            return np.zeros(0, int)
+        return self.numbers[np.asarray(self.store.arrays[STORED][:])[self.numbers]]
+
+    def case(self, number: int) -> Any:
+        """What case ``number`` ran on.
+
+        Raises:
+            InvalidStudy: if the sweep was opened without its study.
+        """
+        if self.study is None:
+            raise InvalidStudy("the sweep was opened without its study; open_sweep(address, study) takes it.")
+        return self.study.case(number)
+
+    def __repr__(self) -> str:
+        return f"Sweep({self.store.address!r}, {self.complete} of {self.layout.count} cases)"
+
+
+def _ending(stored: dict[str, Any]) -> Ending:
+    interval = stored["interval"]
+    return Ending(stored["cases"], stored["reason"], interval and Interval(*interval), stored["of"])
+
+
+def open_sweep(address: str | os.PathLike, study: Study | None = None) -> Sweep:
+    """The results in a folder; every finished chunk is checked.
+
+    Args:
+        address: of the folder.
+        study: that was run, for ``rerun`` and ``case``.
+
+    Raises:
+        SweepError: if there is no sweep, it is another study's, or a chunk is damaged.
+    """
+    found = Sweep(Store(address), study)
+    store, layout = found.store, found.layout
+    if study is not None:
+        store.check(store.read(CONFIGURATION) or {}, study.identity())
+    damaged = [i for i in store.done() if i < layout.chunks and not store.sound(i, layout.cases(i))]
+    if damaged:
+        raise SweepError(
+            f"{store.address}: the values of {len(damaged)} chunks do not agree with their checksums (chunk "
+            f"{damaged[0]}, cases {layout.cases(damaged[0]).start} to {layout.cases(damaged[0]).stop - 1}, say). "
+            "Run the same sweep again: it computes them anew."
+        )
+    return found
