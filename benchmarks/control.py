@@ -4,8 +4,8 @@ A tick is one call of a compiled ``NMPC``: 13 states, 4 thrusts, ten intervals i
 ticks and a first-order lag, disturbance estimate included. The process runs on one core. Ticks are timed along a flight
 that meets the thrust limits.
 
-The same convex program is solved by OSQP and CLARABEL at tight tolerance. acados is not measured: it has no package on
-the index of Python packages. Its real-time iteration is published with about 2 ms a tick at 20 nodes.
+The same convex program is solved by OSQP and CLARABEL at tight tolerance. ``rivals/acados_rti.py`` times
+acados' real-time iteration, in an environment of its own.
 
     python -m benchmarks.control [--json] [--ticks 3000]
 """

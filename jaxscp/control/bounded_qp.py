@@ -103,12 +103,13 @@ def solve(
     multipliers = jnp.where(limited, FIRST_MU * scale / slack, 0.0)
 
     def step(iterate, _):
-        residual, complementarity = _relative(qp, *iterate, count, scale)
+        v, multipliers = iterate
+        residual, complementarity = _relative(qp, v, multipliers, count, scale)
         # beyond this slacks are rounding errors
         ended = (residual <= tolerance) & (complementarity <= jnp.maximum(tolerance, LEAST_MU))
         # reverse mode works through a scan, but not through a loop that ends early
-        newton = lambda iterate: _mehrotra_step(qp, limited, count, *iterate)  # noqa: E731
-        return jax.lax.cond(ended, lambda iterate: iterate, newton, iterate), None
+        newton = lambda v, multipliers: _mehrotra_step(qp, limited, count, v, multipliers)  # noqa: E731
+        return jax.lax.cond(ended, lambda *same: same, newton, v, multipliers), None
 
     (v, multipliers), _ = jax.lax.scan(step, (v, multipliers), None, length=iterations)
     return QPSolution(v, multipliers, *_relative(qp, v, multipliers, count, scale))
