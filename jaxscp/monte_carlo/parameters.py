@@ -169,17 +169,22 @@ class _Mark:
     name: str
 
 
-def inserted(base: Any, parameters: Sequence[Parameter], values: Any) -> Any:
+def places_of(base: Any, parameters: Sequence[Parameter]) -> tuple[int, ...]:
+    """Numbers of the parameters' leaves among the leaves of the base."""
+    numbers = {name: i for i, (name, _) in enumerate(dotted_leaves(base))}
+    return tuple(numbers[str(parameter.where)] for parameter in parameters)
+
+
+def inserted(base: Any, parameters: Sequence[Parameter], places: tuple[int, ...], values: Any) -> Any:
     """The base with drawn values.
 
     Args:
         base: a pytree.
         parameters: resolved.
+        places: from ``places_of``.
         values: (parameters,), in their order; may be traced.
     """
     leaves, tree = jax.tree.flatten(base)
-    places = {name: i for i, (name, _) in enumerate(dotted_leaves(base))}
-    for parameter, value in zip(parameters, values, strict=True):
-        place = places[str(parameter.where)]
+    for parameter, place, value in zip(parameters, places, values, strict=True):
         leaves[place] = parameter.applied(leaves[place], value)
     return jax.tree.unflatten(tree, leaves)

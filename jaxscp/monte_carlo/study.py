@@ -14,7 +14,7 @@ from jaxscp.monte_carlo.distributions import Real
 from jaxscp.monte_carlo.errors import InvalidStudy
 from jaxscp.monte_carlo.identity import described
 from jaxscp.monte_carlo.outcome import STATUS, SUCCESS
-from jaxscp.monte_carlo.parameters import Parameter, inserted
+from jaxscp.monte_carlo.parameters import Parameter, inserted, places_of
 from jaxscp.monte_carlo.sampling import Numbers, Sampling, UnitPoints, correlated, correlation_factor
 
 
@@ -55,6 +55,7 @@ class Study:
     correlations: Mapping[tuple[str, str], Real] = dataclasses.field(default_factory=dict)
     units: Mapping[str, str] = dataclasses.field(default_factory=dict)
     version: str = ""
+    _places: tuple[int, ...] = dataclasses.field(default=(), init=False, repr=False)
 
     def __post_init__(self):
         if not callable(self.run):
@@ -63,6 +64,7 @@ class Study:
             raise InvalidStudy(f"sampling: expected Independent(count, seed), say, got {self.sampling!r}.")
         parameters = tuple(parameter.resolved(self.base) for parameter in self.parameters)
         object.__setattr__(self, "parameters", parameters)
+        object.__setattr__(self, "_places", places_of(self.base, parameters))
         names = list(self.names)
         reserved = {SUCCESS, STATUS, "case"}
         wrong = sorted({name for name in names if names.count(name) > 1 or name in reserved})
@@ -116,11 +118,15 @@ class Study:
 
     def insert(self, values: Any) -> Any:
         """The base with values of the parameters, (parameters,); they may be traced."""
-        return inserted(self.base, self.parameters, values)
+        return inserted(self.base, self.parameters, self._places, values)
 
     def identity(self) -> dict[str, Any]:
         """The study as plain data: folders compare it."""
-        about = {field.name: described(getattr(self, field.name)) for field in dataclasses.fields(self)}
+        about = {
+            field.name: described(getattr(self, field.name))
+            for field in dataclasses.fields(self)
+            if field.init
+        }
         about["correlations"] = {f"{a}, {b}": float(v) for (a, b), v in self.correlations.items()}
         about["versions"] = {
             "jaxscp": __version__,

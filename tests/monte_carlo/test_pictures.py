@@ -75,7 +75,7 @@ def test_the_report_has_summary_pictures_and_worst_cases(result, tmp_path):
     assert all(f"<td>{number}</td>" in text for number in mc.summarise(result).worst)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_robustness_is_newtons_law(tmp_path):
     """A steady force along y moves the end by f t^2 / 2, as no attitude or thrust depends on the position."""
     scenario = jaxscp.scenarios.ascent_to_platform()
