@@ -2,6 +2,15 @@
 
 from .aerodynamics import Aerodynamics as Aerodynamics
 from .aerodynamics import Deck as Deck
+from .geometric import Geometric as Geometric
 from .gusts import Dryden as Dryden
 from .motors import Motors as Motors
+from .scene import Scene as Scene
+from .scene import indoor as indoor
+from .scene import outdoor as outdoor
 from .vehicles import simulated_mav as simulated_mav
+from .world import World as World
+from .world import WorldState as WorldState
+from .world import carrier_state as carrier_state
+from .world import open_loop as open_loop
+from .world import vehicle_state as vehicle_state
