@@ -8,6 +8,10 @@ from .motors import Motors as Motors
 from .scene import Scene as Scene
 from .scene import indoor as indoor
 from .scene import outdoor as outdoor
+from .sensors import IMU as IMU
+from .sensors import DeckSensor as DeckSensor
+from .sensors import LiDAR as LiDAR
+from .sensors import Odometry as Odometry
 from .vehicles import simulated_mav as simulated_mav
 from .world import World as World
 from .world import WorldState as WorldState

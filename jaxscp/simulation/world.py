@@ -99,7 +99,8 @@ class World(eqx.Module):
             _row(self.carrier.airframe, carrier_state(state), own),
         )
         applied = state.data.xfrc_applied.at[jnp.array([bodies.VEHICLE, bodies.CARRIER])].set(jnp.stack(rows))
-        data = mjx.step(self.model, state.data.replace(xfrc_applied=applied))
+        with jax.numpy_dtype_promotion("standard"):  # MJX multiplies floats by flags
+            data = mjx.step(self.model, state.data.replace(xfrc_applied=applied))
         return WorldState(data, motors, gust, wind, integral, deck, state.time + dt)
 
 
