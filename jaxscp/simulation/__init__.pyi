@@ -2,6 +2,8 @@
 
 from .aerodynamics import Aerodynamics as Aerodynamics
 from .aerodynamics import Deck as Deck
+from .estimator import ErrorStateFilter as ErrorStateFilter
+from .estimator import Estimate as Estimate
 from .geometric import Geometric as Geometric
 from .gusts import Dryden as Dryden
 from .motors import Motors as Motors
