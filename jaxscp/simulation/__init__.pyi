@@ -14,6 +14,9 @@ from .sensors import IMU as IMU
 from .sensors import DeckSensor as DeckSensor
 from .sensors import LiDAR as LiDAR
 from .sensors import Odometry as Odometry
+from .simulate import Flight as Flight
+from .simulate import Sensors as Sensors
+from .simulate import simulate as simulate
 from .vehicles import simulated_mav as simulated_mav
 from .world import World as World
 from .world import WorldState as WorldState
