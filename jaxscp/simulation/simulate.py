@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from jaxscp.core.types import Vector3
+from jaxscp.core.types import Scalar, Vector3
 from jaxscp.dynamics.rotations import rotation_matrix
 from jaxscp.simulation import bodies
 from jaxscp.simulation.estimator import ErrorStateFilter, Estimate
@@ -57,7 +57,7 @@ def simulate(
     controller: tuple[Controller, Any],
     key: PRNGKeyArray,
     ticks: int,
-    height: float = 0.0,
+    height: Scalar | float = 0.0,
 ) -> Flight:
     """A flight from the deck, or from a height in m over it. ``jax.vmap`` over keys or worlds gives a batch.
 

@@ -70,7 +70,7 @@ class World(eqx.Module):
             jnp.asarray(velocity, float),
         )
 
-    def init(self, key: PRNGKeyArray, height: float = 0.0) -> WorldState:
+    def init(self, key: PRNGKeyArray, height: Scalar | float = 0.0) -> WorldState:
         """The vehicle at a height in m over its place on the deck; both bodies at the carrier's velocity."""
         hover = self.carrier.airframe.body.hover_thrust().sum()
         deck = Deck(self.start.at[2].add(bodies.DECK_HEIGHT), jnp.zeros(4).at[0].set(1.0), hover)
