@@ -93,10 +93,10 @@ def simulate(
             new.estimate.state(),
             new.world.motors.thrusts,
         )
-        return new, Flight(*record)
+        return new, record
 
     inputs = (jnp.arange(ticks), jax.random.split(keys[2], ticks))
-    return jax.lax.scan(tick, loop, inputs)[1]
+    return Flight(*jax.lax.scan(tick, loop, inputs)[1])
 
 
 def _physics(world: World, sensors: Sensors, loop: _Loop, key: PRNGKeyArray) -> _Loop:
