@@ -53,9 +53,9 @@ def mjcf(vehicle: Airframe, carrier: Airframe, scene: Scene | None = None) -> st
 </mujoco>"""
 
 
-def model(vehicle: Airframe, carrier: Airframe, scene: Scene | None = None) -> mujoco.MjModel:
+def model(vehicle: Airframe, carrier: Airframe, scene: Scene | None = None) -> mujoco.MjModel:  # pyright: ignore[reportAttributeAccessIssue]
     """The compiled model."""
-    return mujoco.MjModel.from_xml_string(mjcf(vehicle, carrier, scene))
+    return mujoco.MjModel.from_xml_string(mjcf(vehicle, carrier, scene))  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def _inertial(airframe: Airframe) -> str:

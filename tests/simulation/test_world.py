@@ -10,6 +10,8 @@ import pytest
 from jaxscp.dynamics.airframes import paper_carrier
 from jaxscp.simulation import Aerodynamics, World, bodies, open_loop, simulated_mav
 
+pytestmark = pytest.mark.slow  # two programs of MJX to compile
+
 AGREEMENT = 1e-6
 """m, rad: both compute in float64; a contact solver of 8 iterations amplifies rounding."""
 FIRST_ORDER = 1e-3
