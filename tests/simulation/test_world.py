@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from jaxscp.dynamics.airframes import paper_carrier
-from jaxscp.simulation import Aerodynamics, World, bodies, open_loop, simulated_mav
+from jaxscp.simulation import Aerodynamics, World, bodies, carrier_state, simulated_mav, vehicle_state
 
-pytestmark = pytest.mark.slow  # two programs of MJX to compile
+pytestmark = pytest.mark.slow  # a program of MJX to compile
 
 AGREEMENT = 1e-6
 """m, rad: both compute in float64; a contact solver of 8 iterations amplifies rounding."""
@@ -25,9 +25,16 @@ WORLD = World.of()
 @pytest.fixture(scope="module")
 def run():
     """One compiled open-loop flight of 400 steps (1 s), shared by all tests."""
-    compiled = eqx.filter_jit(
-        lambda world, state, commands: open_loop(world, state, commands, jax.random.key(1))
-    )
+
+    def flight(world, state, commands):
+        def step(state, inputs):
+            new = world.step(state, *inputs)
+            data = new.data
+            return new, (vehicle_state(new), carrier_state(new), data.xfrc_applied, data.qpos)
+
+        return jax.lax.scan(step, state, (commands, jax.random.split(jax.random.key(1), STEPS)))
+
+    compiled = eqx.filter_jit(flight)
     return lambda world, state, commands: jax.tree.map(np.asarray, compiled(world, state, commands))
 
 
@@ -41,7 +48,7 @@ def test_free_flight_keeps_energy_and_momentum(run):
     state = world.init(jax.random.key(0), height=40.0)
     qvel = state.data.qvel.at[:6].set(jnp.array([3.0, 1.0, 4.0, 1.0, 2.0, 0.5]))
     state = eqx.tree_at(lambda s: s.data, state, state.data.replace(qvel=qvel))
-    _, (vehicle, _) = run(world, state, commands(0.0))
+    _, (vehicle, *_) = run(world, state, commands(0.0))
     time = bodies.TIME_STEP * np.arange(1, STEPS + 1)
     np.testing.assert_allclose(vehicle[:, 5], 4.0 - 9.81 * time, atol=1e-9)
     np.testing.assert_allclose(vehicle[:, 3:5], np.broadcast_to([3.0, 1.0], (STEPS, 2)), atol=1e-9)
@@ -59,15 +66,15 @@ def test_hover_thrust_holds_the_vehicle(run):
     world = eqx.tree_at(lambda w: w.air, WORLD, STILL_AIR)
     state = world.init(jax.random.key(0), height=40.0)
     hover = 0.928 * 9.81 / 4.0
-    ready = (jnp.full(4, hover), jnp.full((4, 4), hover))
+    ready = (jnp.asarray(np.full(4, hover)), jnp.asarray(np.full((4, 4), hover)))  # as strong types
     state = eqx.tree_at(lambda s: (s.motors.thrusts, s.motors.waiting), state, ready)
-    _, (vehicle, _) = run(world, state, commands(hover))
+    _, (vehicle, *_) = run(world, state, commands(hover))
     # the air's root at zero speed leaves an inflow of a micrometre a second
     np.testing.assert_allclose(vehicle[-1, :3], state.data.qpos[:3], atol=1e-6)
 
 
 def test_a_drop_settles_on_the_deck(run):
-    _, (vehicle, carrier) = run(WORLD, WORLD.init(jax.random.key(0), height=0.1), commands(0.1))
+    _, (vehicle, carrier, *_) = run(WORLD, WORLD.init(jax.random.key(0), height=0.1), commands(0.1))
     last = slice(-40, None)
     height = vehicle[last, 2] - carrier[last, 2] - bodies.DECK_HEIGHT - bodies.FEET_DEPTH
     assert np.abs(height).max() < 0.01  # contacts yield by some millimetres
@@ -78,7 +85,7 @@ def test_a_drop_settles_on_the_deck(run):
 def test_the_vehicle_rides_on_a_moving_deck_without_slip(run):
     world = eqx.tree_at(lambda w: w.velocity, WORLD, jnp.array([1.0, 0.0, 0.0]))
     state = world.init(jax.random.key(0))
-    _, (vehicle, carrier) = run(world, state, commands(0.1))
+    _, (vehicle, carrier, *_) = run(world, state, commands(0.1))
     assert carrier[-1, 0] > 0.8
     assert np.abs((vehicle - carrier)[:, :2]).max() < 0.01
 
@@ -86,13 +93,7 @@ def test_the_vehicle_rides_on_a_moving_deck_without_slip(run):
 def test_c_and_mjx_fly_the_same(run):
     """The wrenches that MJX's flight applied, played in C: a drop with thrust, drag and contact."""
     state = WORLD.init(jax.random.key(0), height=0.1)
-
-    def step(state, key):
-        new = WORLD.step(state, jnp.full(4, 1.0).at[0].add(0.01), key)
-        return new, (new.data.xfrc_applied, new.data.qpos)
-
-    flight = jax.jit(lambda s: jax.lax.scan(step, s, jax.random.split(jax.random.key(2), STEPS)))
-    _, (applied, expected) = jax.tree.map(np.asarray, flight(state))
+    _, (_, _, applied, expected) = run(WORLD, state, commands(1.0).at[:, 0].add(0.01))
     model = bodies.model(simulated_mav(), paper_carrier())
     data = mujoco.MjData(model)
     data.qpos[:], data.qvel[:] = state.data.qpos, state.data.qvel
