@@ -127,7 +127,7 @@ class DeckSensor(eqx.Module):
     greatest_range: Scalar = eqx.field(converter=as_floats, default=2.0)
     """m."""
     delay: int = eqx.field(static=True, default=2)
-    """Samples: 67 ms at 30 Hz; ``simulate`` may give the exact 50 ms by sampling an older truth."""
+    """Whole samples: 67 ms at 30 Hz, as 50 ms is no whole number of them."""
 
     def init(self, key: PRNGKeyArray) -> DeckState:
         """A bias, and an empty pipeline."""
