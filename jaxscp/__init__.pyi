@@ -78,6 +78,9 @@ from . import plot as plot
 # --- feedback ---
 from . import control as control
 
+# --- the world of a flight ---
+from . import simulation as simulation
+
 # --- many cases ---
 from . import monte_carlo as monte_carlo
 

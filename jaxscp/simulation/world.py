@@ -1,0 +1,144 @@
+"""The world: two bodies in contact, air, motors, and the carrier's own controller; one step of it."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+from mujoco import mjx
+
+from jaxscp.core.arrays import as_floats
+from jaxscp.core.types import Scalar, Vector3
+from jaxscp.dynamics.airframes import Airframe, paper_carrier
+from jaxscp.dynamics.rotations import rotation_matrix
+from jaxscp.simulation import bodies
+from jaxscp.simulation.aerodynamics import Aerodynamics, Deck
+from jaxscp.simulation.geometric import Geometric
+from jaxscp.simulation.gusts import Dryden, GustState
+from jaxscp.simulation.motors import Motors, MotorState
+from jaxscp.simulation.vehicles import simulated_mav
+
+State = Float[Array, "13"]
+
+
+class WorldState(eqx.Module):
+    """All that changes."""
+
+    data: mjx.Data
+    motors: MotorState
+    gust: GustState
+    wind: Vector3
+    """Wind with gusts, m/s."""
+    integral: Vector3
+    """Of the carrier's controller, m s."""
+    deck: Deck
+    time: Scalar
+    """s."""
+
+
+class World(eqx.Module):
+    """All that stays the same over a flight. Build it with ``World.of``."""
+
+    model: mjx.Model
+    airframe: Airframe
+    motors: Motors
+    air: Aerodynamics
+    gusts: Dryden
+    carrier: Geometric
+    start: Vector3
+    """Where the carrier begins, m."""
+    velocity: Vector3 = eqx.field(converter=as_floats)
+    """Reference velocity of the carrier, m/s."""
+
+    @staticmethod
+    def of(
+        *,
+        air: Aerodynamics | None = None,
+        wind: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        start: tuple[float, float, float] = (0.0, 0.0, 2.0),
+        velocity: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    ) -> "World":
+        """The paper's vehicle and carrier, in air that moves at a mean wind in m/s."""
+        airframe, carrier = simulated_mav(), paper_carrier()
+        return World(
+            mjx.put_model(bodies.model(airframe, carrier)),
+            airframe,
+            Motors(airframe.thrust_min, airframe.thrust_max),
+            air or Aerodynamics(),
+            Dryden(jnp.asarray(wind, float)),
+            Geometric(carrier, attitude_gain=60.0, rate_gain=14.0),
+            jnp.asarray(start, float),
+            jnp.asarray(velocity, float),
+        )
+
+    def init(self, key: PRNGKeyArray, height: Scalar | float = 0.0) -> WorldState:
+        """The vehicle at a height in m over its place on the deck; both bodies at the carrier's velocity."""
+        hover = self.carrier.airframe.body.hover_thrust().sum()
+        deck = Deck(self.start.at[2].add(bodies.DECK_HEIGHT), jnp.zeros(4).at[0].set(1.0), hover)
+        level = jnp.array([1.0, 0.0, 0.0, 0.0])
+        place = deck.position.at[2].add(bodies.FEET_DEPTH + height)
+        qpos = jnp.concatenate([place, level, self.start, level])
+        qvel = jnp.concatenate([self.velocity, jnp.zeros(3), self.velocity, jnp.zeros(3)])
+        data = mjx.make_data(self.model).replace(qpos=qpos, qvel=qvel)
+        gust, zero = self.gusts.init(key), jnp.zeros(3)
+        return WorldState(data, self.motors.init(), gust, self.gusts.wind, zero, deck, jnp.zeros(()))
+
+    def step(self, state: WorldState, command: Float[Array, "rotors"], key: PRNGKeyArray) -> WorldState:
+        """The state after one time step of constant commands in N."""
+        dt = bodies.TIME_STEP
+        motors = self.motors.step(state.motors, command, dt)
+        gust, change = self.gusts.step(state.gust, dt, key)
+        wind = self.gusts.wind + change
+        integral, own = self.carrier(
+            state.integral, carrier_state(state), self.start + self.velocity * state.time, self.velocity, dt
+        )
+        deck = deck_of(state, own.sum())
+        vehicle = vehicle_state(state)
+        force, torque = self.air.wrench(vehicle, motors.thrusts, wind, deck)
+        rows = (
+            _row(self.airframe, vehicle, motors.thrusts) + _in_world(vehicle, force, torque),
+            _row(self.carrier.airframe, carrier_state(state), own),
+        )
+        applied = state.data.xfrc_applied.at[jnp.array([bodies.VEHICLE, bodies.CARRIER])].set(jnp.stack(rows))
+        with jax.numpy_dtype_promotion("standard"):  # MJX multiplies floats by flags
+            data = mjx.step(self.model, state.data.replace(xfrc_applied=applied))
+        return WorldState(data, motors, gust, wind, integral, deck, state.time + dt)
+
+
+def vehicle_state(state: WorldState) -> State:
+    """Position, velocity, attitude, body rate of the vehicle."""
+    qpos, qvel = state.data.qpos, state.data.qvel
+    return jnp.concatenate([qpos[:3], qvel[:3], qpos[3:7], qvel[3:6]])
+
+
+def carrier_state(state: WorldState) -> State:
+    """The same of the carrier."""
+    qpos, qvel = state.data.qpos, state.data.qvel
+    return jnp.concatenate([qpos[7:10], qvel[6:9], qpos[10:14], qvel[9:12]])
+
+
+def deck_of(state: WorldState, thrust: Scalar) -> Deck:
+    """The deck under a carrier with a total thrust in N."""
+    carrier = carrier_state(state)
+    up = rotation_matrix(carrier[6:10])[:, 2]
+    return Deck(carrier[:3] + bodies.DECK_HEIGHT * up, carrier[6:10], thrust)
+
+
+def _row(airframe: Airframe, state: State, thrusts: Float[Array, "rotors"]) -> Float[Array, "6"]:
+    """Force and torque of rotors in world axes, as MuJoCo applies them."""
+    body, turn = airframe.body, rotation_matrix(state[6:10])
+    return _in_world(state, turn @ (body.thrust_map @ thrusts), body.torque_map @ thrusts)
+
+
+def _in_world(state: State, force: Vector3, torque: Vector3) -> Float[Array, "6"]:
+    """A force in world axes and a torque in body axes, both in world axes."""
+    return jnp.concatenate([force, rotation_matrix(state[6:10]) @ torque])
+
+
+def open_loop(world: World, state: WorldState, commands: Float[Array, "steps rotors"], key: PRNGKeyArray):
+    """States at every step under given commands: the last world state, and (vehicle, carrier) histories."""
+
+    def step(state, inputs):
+        new = world.step(state, *inputs)
+        return new, (vehicle_state(new), carrier_state(new))
+
+    return jax.lax.scan(step, state, (commands, jax.random.split(key, commands.shape[0])))
