@@ -47,6 +47,7 @@ def over_a_deck(noise=0.0):
     return Plant(AIRFRAME.body, MOTORS, noise * NOISE, suction, jnp.array(SUCTION))
 
 
+@pytest.mark.slow
 def test_the_vertical_loop_is_stable_against_suction():
     """From 5 cm above a hover at 2 cm over the deck, with delay and lag: no overshoot onto the deck, no offset."""
     record = flight(NMPC, hold(0.02), over_a_deck(), at(0.07), KEY)

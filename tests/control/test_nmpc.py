@@ -48,6 +48,7 @@ def at_origin(nmpc):
     return nmpc.hold(jnp.zeros(2), jnp.zeros(1))
 
 
+@pytest.mark.slow
 def test_a_cart_comes_to_rest_within_its_limits():
     record = flight(controller(), jnp.array([1.0, 0.0]))
     assert set(jaxscp.status_names(record.status)) == {"converged"}

@@ -68,6 +68,7 @@ def test_the_wrench_turns_with_the_world():
     np.testing.assert_allclose(torque2, torque, atol=ROUNDING)
 
 
+@pytest.mark.slow
 def test_gusts_have_drydens_spectrum_and_variance():
     gusts, dt = Dryden(wind=[8.0, 0.0, 0.0]), 0.02
 

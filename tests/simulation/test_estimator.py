@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from scipy import stats
 
 from jaxscp.simulation import IMU, ErrorStateFilter, Odometry
@@ -53,6 +54,7 @@ def flight(key):
     return error @ jnp.linalg.solve(estimate.covariance, error), jnp.linalg.norm(error[:3])
 
 
+@pytest.mark.slow
 def test_the_filter_is_consistent_and_better_than_its_measurements():
     nees, position = jax.tree.map(
         np.asarray, jax.jit(jax.vmap(flight))(jax.random.split(jax.random.key(0), FLIGHTS))

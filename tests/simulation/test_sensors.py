@@ -28,6 +28,7 @@ def test_noise_and_bias_of_the_inertial_unit():
     assert (np.abs(samples.mean(axis=0) - truth) < 4.5 * deviation / MANY**0.5).all()
 
 
+@pytest.mark.slow
 def test_odometry_is_late_noisy_and_drifts_with_distance():
     odometry = Odometry()
 

@@ -18,7 +18,7 @@ BATCH = 16
 MOST_LINES = 25
 
 # Each compiles for more than a few seconds; ``test_own_problems`` has problems like those that run by night.
-MARKS = {"minimum_energy": (), "gates": (pytest.mark.nightly,), "rocket_landing": (pytest.mark.slow,)}
+MARKS = {"minimum_energy": (pytest.mark.slow,)}
 BY_NIGHT = pytest.mark.nightly
 EVERY = pytest.mark.parametrize(
     "name", [pytest.param(name, marks=MARKS.get(name, BY_NIGHT)) for name in GALLERY]
