@@ -35,9 +35,10 @@ def check_convergence(
     inexactness = qp.forcing / settings.tolerance  # a coarse subproblem leaves its prediction uncertain
     worst = jnp.max(jnp.stack([*residuals, decrease, kkt, inexactness]))
     optimal = new.accepted_with_small_proximal & (worst <= 1.0)
-    close_to_optimum = new.accepted_with_small_proximal & (worst <= tolerance_factor)
     stuck = new.proximal > MOST_PROXIMAL
     feasible = dynamics_feasible & constraints_feasible
+    # From an optimum no step leads down: the interior point has to say that it is one.
+    close_to_optimum = (new.accepted_with_small_proximal & (worst <= tolerance_factor)) | (stuck & feasible)
     status = Status.where(constraints_feasible, Status.iteration_limit, Status.constraints_unmet)
     status = Status.where(dynamics_feasible, status, Status.dynamics_unmet)
     status = Status.where(stuck & feasible, Status.insufficient_progress, status)

@@ -43,7 +43,9 @@ from jaxscp.transcription.layout import stage_sizes
 from jaxscp.transcription.shooting import evaluate, linearise, linearise_with_hessian, total_cost
 
 TOLERANCE_FACTORS = (100.0, 1.0)  # times the tolerances, at which the interior point is tried
-BARRIER_OF_STEP = 1e-2  # first barrier of the interior point, for a last step of one typical size
+BARRIER_OF_STEP = (
+    1e-2  # first barrier of the interior point, over the square of the last step, in typical sizes
+)
 MERIT_MEMORY = 5  # accepted points whose worst merit a new one must beat
 # On leaving a limit, one round each; the last one is lower: a limit may be left where nothing else helps.
 RESTORATION_PENALTIES = (1e7, 1e7, 1e7, 1e4)
@@ -173,7 +175,7 @@ class NewtonSCP(NewtonSettings):
         """The optimum close to the last iterate, if the interior point finds it; else the state as it is."""
         # A high barrier would lead a point that is an optimum away from it, and perhaps to another one.
         last = state.history.step_norm[jnp.maximum(state.iterations - 1, 0)]
-        mu = jnp.clip(BARRIER_OF_STEP * last, self.interior.final_mu, self.interior.initial_mu)
+        mu = jnp.clip(BARRIER_OF_STEP * last**2, self.interior.final_mu, self.interior.initial_mu)
         interior = eqx.tree_at(lambda i: i.initial_mu, self.interior, mu)
         found = interior.run(problem, state.z, state.multipliers, self.grid, state.close_to_optimum)
         is_optimum = state.close_to_optimum & self.interior.is_optimum(found)
