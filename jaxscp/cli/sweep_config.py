@@ -33,7 +33,7 @@ def _of_scipy(name: str, numbers: dict[str, float]) -> mc.SciPy:
 
 
 class SweepConfig(NamedTuple):
-    """What the file asks for."""
+    """Content of the file."""
 
     study: mc.Study
     folder: str

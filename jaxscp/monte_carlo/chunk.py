@@ -18,7 +18,7 @@ class Evaluator(Protocol):
     """Runs a study's cases in this process."""
 
     def quantities(self, study: Study) -> dict[str, Quantity]:
-        """What a case results in."""
+        """Results of a case, by name."""
         ...
 
     def evaluate(

@@ -174,7 +174,7 @@ class _Run:
                 self.progress.message(f"chunk {index} is damaged, and computed again")
 
     def go(self, engine: Engine) -> None:
-        """Compute what is missing, until a rule ends it."""
+        """Compute the missing chunks, until a rule ends the sweep."""
         missing = [index for index in range(self.job.layout.chunks) if index not in self.done]
         if self._enough() or not missing:
             return

@@ -37,7 +37,7 @@ class Engine(Protocol):
         ...
 
     def quantities(self, study: Study) -> dict[str, Quantity]:
-        """What a case results in."""
+        """Results of a case, by name."""
         ...
 
     def chunks(self, job: ChunkJob, indices: Iterable[int]) -> Iterator[ChunkReport]:

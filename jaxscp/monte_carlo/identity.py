@@ -1,4 +1,4 @@
-"""What a sweep is made of, as plain data: two sweeps may share a folder only if these are equal."""
+"""Identity of a sweep, as plain data: two sweeps may share a folder only if theirs are equal."""
 
 import dataclasses
 import hashlib

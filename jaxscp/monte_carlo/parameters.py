@@ -15,7 +15,7 @@ from jaxscp.monte_carlo.errors import InvalidStudy
 
 @runtime_checkable
 class Change(Protocol):
-    """How a drawn value changes what the base has."""
+    """Changes a number or an array of the base by a drawn value."""
 
     def __call__(self, base: Any, value: Any) -> Any:
         """The new number or array."""

@@ -1,4 +1,4 @@
-"""A study: what is run, on what, and what scatters. Case n is a function of the study and n alone."""
+"""A study: a function, its input, and the parameters that scatter. Case n is a function of the study and n alone."""
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
@@ -20,7 +20,7 @@ from jaxscp.monte_carlo.sampling import Numbers, Sampling, UnitPoints, correlate
 
 @dataclasses.dataclass(frozen=True)
 class Study:
-    """What is run on every case.
+    """A function, its input, and the parameters that scatter from case to case.
 
     Args:
         run: a ``Planner``, ``Solves(guess)``, or any function of a case. It returns a ``Solution``, a pytree of

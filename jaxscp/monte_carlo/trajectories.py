@@ -48,7 +48,7 @@ class FailedTrajectories:
 
 @dataclasses.dataclass(frozen=True)
 class EveryNth:
-    """Those of cases 0, n, 2 n, ...
+    """Trajectories of cases 0, n, 2 n, ...
 
     Example:
         >>> import numpy as np

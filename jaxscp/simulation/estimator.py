@@ -28,18 +28,20 @@ class Estimate(eqx.Module):
     """Last body rate without bias, rad/s."""
 
     def state(self) -> Float[Array, "13"]:
-        """What a controller reads: position m, velocity m/s, attitude, body rate rad/s."""
+        """State (13,) for a controller: position m, velocity m/s, attitude, body rate rad/s."""
         return jnp.concatenate([self.nominal[:10], self.rate])
 
 
 class ErrorStateFilter(eqx.Module):
-    """Errors of attitude are small rotations in body axes (Sola, "Quaternion kinematics for the error-state Kalman
-    filter", 2017, sections 5 and 6).
+    """Error-state Kalman filter of inertial samples and delayed odometry.
 
-    A measurement that is ``delay`` predictions old is compared with the nominal state of its own time; the difference
-    corrects the present state and the past ones alike. The gain is that of the present covariance, an approximation
-    that is good while the covariance changes little over the delay. Position and attitude are those of the odometry:
-    its drift is not observable without the deck.
+    Source: Sola, "Quaternion kinematics for the error-state Kalman filter", 2017, sections 5 and 6. Errors of attitude
+    are small rotations in body axes.
+
+    A measurement that is ``delay`` predictions old is compared with the nominal state of its own time. The difference
+    corrects the present state and the past ones alike. The gain uses the present covariance, as if that had not changed
+    over the delay: the estimated covariance is some percent too small. Position and attitude follow the odometry, whose
+    drift cannot be observed without the deck.
 
     Example:
         >>> import jax.numpy as jnp

@@ -11,8 +11,9 @@ from jaxscp.dynamics.rotations import rotation_matrix
 
 
 class Geometric(eqx.Module):
-    """Rotor thrusts to a reference (Lee, Leok, McClamroch, "Geometric tracking control of a quadrotor UAV on SE(3)",
-    CDC 2010), with an integral of the position error.
+    """Rotor thrusts that track a reference, with an integral of the position error.
+
+    Source: Lee, Leok, McClamroch, "Geometric tracking control of a quadrotor UAV on SE(3)", CDC 2010.
 
     Example:
         >>> import jax.numpy as jnp, jaxscp

@@ -31,7 +31,7 @@ class Sensors(eqx.Module):
 
 
 class Flight(eqx.Module):
-    """Histories at 200 Hz: the truth, for whoever examines the flight, and what the controller saw."""
+    """Histories at 200 Hz: true states, and the estimates that the controller saw."""
 
     vehicle: Float[Array, "ticks 13"]
     carrier: Float[Array, "ticks 13"]
@@ -41,7 +41,7 @@ class Flight(eqx.Module):
 
 
 class _Loop(eqx.Module):
-    """What the scan carries."""
+    """Carry of the scan."""
 
     world: WorldState
     bias: Float[Array, "6"]
