@@ -123,6 +123,7 @@ def test_the_compiled_loop_starts_as_jax_does(norm):
 
 
 @pytest.mark.parametrize("norm", [True, False], ids=["norm cost", "quadratic cost"])
+@pytest.mark.slow
 def test_the_start_is_on_the_central_path_with_the_same_difference(norm):
     """The pair is central, s o y = mu e, and s - y is the warm start's, except in relaxed bounds."""
     program, _ = equilibrate(random_program(0, norm=norm))

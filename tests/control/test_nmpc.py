@@ -66,6 +66,7 @@ def test_a_pendulum_is_held_upright():
     np.testing.assert_allclose(record.state[-1], 0.0, atol=0.01)
 
 
+@pytest.mark.slow
 def test_the_linearisation_is_the_derivative_of_a_rollout():
     """Sensitivities of all nodes in all controls, against forward mode through the nonlinear integration."""
     grid = Horizon().grid[:5]
@@ -92,6 +93,7 @@ BROKEN = jnp.full(2, jnp.nan)
 
 
 @pytest.mark.parametrize("which", ["estimate", "reference"])
+@pytest.mark.slow
 def test_what_is_not_finite_leaves_the_shifted_plan(which):
     nmpc, away = controller(), jnp.array([1.0, 0.0])
     target = at_origin(nmpc)

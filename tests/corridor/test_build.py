@@ -53,7 +53,10 @@ def check(result, cloud):
 
 
 @pytest.mark.parametrize("kind", synthetic_maps.KINDS)
-@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 3))])
+@pytest.mark.parametrize(
+    "seed",
+    [pytest.param(seed, marks=pytest.mark.slow if seed < 2 else pytest.mark.nightly) for seed in range(4)],
+)
 def test_random_maps_give_safe_connected_corridors(kind, seed):
     place = synthetic_maps.KINDS[kind](seed)
     method = METHODS[seed % 2]

@@ -62,6 +62,7 @@ def guess_of(scenario):
 
 
 @pytest.mark.parametrize("mission", [scenarios.platform_to_platform, scenarios.ascent_to_platform])
+@pytest.mark.slow
 def test_the_guess_is_nearly_a_flight(mission):
     scenario = mission()
     guess, allocation = guess_of(scenario)

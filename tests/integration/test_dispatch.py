@@ -42,7 +42,13 @@ def uses_compiled(function, *args):
     ],
     ids=ORDERS,
 )
-@pytest.mark.parametrize("rate", RATES.values(), ids=RATES)
+@pytest.mark.parametrize(
+    "rate",
+    [
+        pytest.param(rate, id=name, marks=[pytest.mark.slow] if name == "rigid body" else [])
+        for name, rate in RATES.items()
+    ],
+)
 def test_compiled_equals_jax(rate, name, method):
     arguments = random_case(*rate, method, ORDERS[name])
     ours = getattr(dispatch, name)

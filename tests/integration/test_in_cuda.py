@@ -42,7 +42,7 @@ class Extrema(eqx.Module):
 @pytest.mark.parametrize(
     ("rate", "method", "columns"),
     [
-        (RATES["rigid body"], tableaus.CLASSICAL, 3),
+        pytest.param(RATES["rigid body"], tableaus.CLASSICAL, 3, marks=pytest.mark.slow),
         (RATES["no parameters"], tableaus.SIXTH_ORDER, 4),
         (RATES["every operation"], tableaus.CLASSICAL, 1),
         ((Extrema(), 2, 2), tableaus.CLASSICAL, 2),

@@ -54,6 +54,7 @@ def test_an_unknown_part_is_refused():
 @pytest.mark.parametrize(
     "mass", [1, 1.0, np.float64(1.0), np.float32(1.0), np.int64(1), np.array(1.0), jnp.array(1.0)]
 )
+@pytest.mark.slow
 def test_every_kind_of_number_gives_the_same_plan(compiled, mass):
     """Set by ``eqx.tree_at``, past any constructor."""
     planner, expected = compiled

@@ -60,6 +60,7 @@ def assert_same(found, expected):
     "implementation",
     [pytest.param(in_jax.gram, marks=pytest.mark.slow), pytest.param(native.gram, marks=compiled)],
 )
+@pytest.mark.slow
 @given(
     seed=st.integers(0, 1000),
     shapes=st.lists(st.tuples(st.integers(1, 3), st.integers(1, 4), st.booleans()), min_size=1, max_size=3),

@@ -191,6 +191,7 @@ def test_a_plan_from_a_file_is_sampled(solution, from_file):
     assert float(jnp.abs(samples.acceleration).max()) > 1.0
 
 
+@pytest.mark.slow
 def test_a_plan_from_a_file_has_the_same_certificate(solution, from_file):
     scenario, found = from_file
     problem, _ = scenario.problem(NODES, context=found.context)

@@ -356,6 +356,7 @@ def test_an_invalid_element_of_a_batch_is_undefined_and_disturbs_no_other():
     assert np.isnan(gradient[1])
 
 
+@pytest.mark.slow
 def test_numbers_are_taken_as_python_numpy_and_jax_make_them():
     costs = []
     for two in (2.0, 2, np.float64(2.0), np.array(2.0), jnp.array(2.0), np.int64(2)):

@@ -66,6 +66,7 @@ def test_the_deck_is_seen_within_its_range_only():
     assert not arrives(2.1)[2]
 
 
+@pytest.mark.slow
 def test_a_scan_shows_a_wall_and_loses_some_returns():
     wall = Scene(
         jnp.array([[5.0, 0.0, 0.0]]),

@@ -26,6 +26,7 @@ def solved(problem, guess=None, final_time=None):
     return solution
 
 
+@pytest.mark.slow
 def test_zero_order_hold_is_the_least_squares_solution():
     """Constant forces over ten intervals: the least norm that reaches the goal."""
     solution = solved(double_integrator(ENERGY, js.Time(11, js.FixedTime(2.0)), zero_order_hold=(0,)))

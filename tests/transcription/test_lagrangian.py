@@ -42,6 +42,7 @@ def test_merit_of_a_feasible_point_is_its_cost():
     np.testing.assert_allclose(merit(point), 7.0)
 
 
+@pytest.mark.slow
 def test_merit_grows_with_every_residual():
     problem = short_problem()
     z = random_nodes(problem, 0)
