@@ -28,8 +28,8 @@ class Actuators(eqx.Module):
         >>> from jaxscp.control import Actuators
         >>> motors = Actuators([0.0], [5.0], time_constant=0.03, delay=2)
         >>> command = motors.command([2.0], [2.5], 0.01)  # from 2 N to 2.5 N within 10 ms
-        >>> command.round(3).tolist(), motors.advance([2.0], command, 0.01).round(3).tolist()
-        ([3.764], [2.5])
+        >>> f"{command[0]:.3f} N, then {motors.advance([2.0], command, 0.01)[0]:.3f} N"
+        '3.764 N, then 2.500 N'
     """
 
     lower: Control = eqx.field(converter=as_floats)
