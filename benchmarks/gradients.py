@@ -139,7 +139,8 @@ def one(scenario, solution, leaf, key):
 
 def compare(mission: str, count: int, chunk: int, echo: Any) -> dict[str, Any]:
     """Derivatives compared with differences, for every leaf of every instance."""
-    batch = instances(mission, count)
+    # In the solver's own units, so that a solution's variables and multipliers are those of ``problem_of``.
+    batch = jax.vmap(lambda s: in_units(s, units_of(s)))(instances(mission, count))
     solutions = jax.vmap(PLANNER)(batch)
     names = leaves(batch)
     pairs = [(i, leaf) for i in range(count + 1) for leaf in range(len(names))]

@@ -1,0 +1,218 @@
+"""The parts of the benchmark: each a function (count, seed, echo) -> figures."""
+
+import dataclasses
+import time
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+import jaxscp
+from benchmarks.robustness.chains import chain, vehicle
+from benchmarks.robustness.judge import refuted
+from jaxscp.landing.units import Units, in_units
+from tests.support.rooms import room
+from tests.system.test_binding_limits import ALL, SPEEDS, TILTS, limited
+
+Echo = Callable[[str], None]
+PLANNER = jaxscp.Planner()
+MASSES = np.geomspace(0.03, 200.0, 10)  # kg
+ROUTES = (0.3, 3.0, 30.0, 300.0)  # m
+MOVES = (1e-3, 1e-2, 0.1, 1.0)  # m, of the start
+TURNS = (0.1, 10.0, 90.0, 180.0)  # degrees, of the start's heading
+TICK, NOISE = 0.1, 0.01  # s and m: the receding horizon
+NEAR = 0.05  # m: where a flight by receding horizon has arrived
+MOST_TICKS = 60
+
+
+def _share(flags: list[bool]) -> float:
+    return float(np.mean(flags)) if flags else float("nan")
+
+
+def _converged(solution: jaxscp.Solution) -> bool:
+    return bool(solution.status == jaxscp.Status.converged)
+
+
+def chains(count: int, seed: int, echo: Echo) -> dict[str, Any]:
+    """Plans of random chains, judged by SciPy; costs against two other guesses."""
+    PLANNER(chain(seed).scenario)
+    converged, wrong, times, gaps = [], 0, [], []
+    for number in range(seed, seed + count):
+        scenario = chain(number).scenario
+        began = time.perf_counter()
+        solution = PLANNER(scenario)
+        solution.cost.block_until_ready()
+        times.append(time.perf_counter() - began)
+        converged.append(_converged(solution))
+        if not converged[-1]:
+            echo(
+                f"chain {number}: {jaxscp.status_names(solution.status)}, {int(solution.iterations)} subproblems"
+            )
+            continue
+        if fault := refuted(scenario, solution):
+            wrong += 1
+            echo(f"chain {number}: refuted: {fault}")
+        if number % 5 == 0:
+            gaps.append(_gap(scenario, solution))
+    return {
+        "chains_converged_share": _share(converged),
+        "chains_refuted": wrong,
+        "chains_p95_over_median": float(np.percentile(times, 95) / np.median(times)),
+        "chains_cost_gap_p99": float(np.percentile(gaps, 99)) if gaps else float("nan"),
+    }
+
+
+def _gap(scenario: jaxscp.LandingScenario, solution: jaxscp.Solution) -> float:
+    """Cost over the best of the plan and of solves from two other flight times, less one."""
+    problem, context = scenario.problem(PLANNER.nodes)
+    guess, costs = scenario.guess(problem, context), [float(solution.cost)]
+    for factor in (0.7, 1.5):
+        other = dataclasses.replace(guess, time=factor * guess.time, dilation=factor * guess.dilation)
+        found = jaxscp.solve(problem, other)
+        costs += [float(found.cost)] if _converged(found) else []
+    return costs[0] / min(costs) - 1.0
+
+
+def limits(count: int, seed: int, echo: Echo) -> dict[str, Any]:
+    """Plans under limits that bind for long: optima with derivatives."""
+    found = []
+    for case in (*SPEEDS, *TILTS, *ALL):
+        solution = PLANNER(limited(case))
+        found.append(_converged(solution) and bool(solution.differentiable))
+        if not found[-1]:
+            echo(f"limits {case}: {jaxscp.status_names(solution.status)}")
+    return {"limits_optimal_share": _share(found)}
+
+
+def vehicles(count: int, seed: int, echo: Echo) -> dict[str, Any]:
+    """Vehicles from 30 g to 200 kg on routes from 0.3 to 300 m in an empty room."""
+    found = []
+    for mass in MASSES:
+        for route in ROUTES:
+            scenario = room(
+                goal=(route, route / 6.0, 1.0), upper=(2.0 * route + 5.0, route + 5.0, route + 5.0)
+            )
+            size = {"airframe": vehicle(mass, 2.2), "dilation_max": 120.0}
+            solution = PLANNER(dataclasses.replace(scenario, **{k: _like(v) for k, v in size.items()}))
+            found.append(_converged(solution))
+            if not found[-1]:
+                echo(f"{mass:.3g} kg over {route} m: {jaxscp.status_names(solution.status)}")
+    return {"vehicles_converged_share": _share(found)}
+
+
+def _like(value: Any) -> Any:
+    return jnp.asarray(value) if isinstance(value, float) else value
+
+
+def units(count: int, seed: int, echo: Echo) -> dict[str, Any]:
+    """Case 2 in other units, elsewhere and turned: largest relative difference of the cost."""
+    scene, worst = jaxscp.scenarios.ascent_to_platform(), 0.0
+    expected = PLANNER(scene)
+    one = {"origin": jnp.zeros(3), "turn": jnp.array([1.0, 0, 0, 0]), "length": 1.0, "time": 1.0, "mass": 1.0}
+    changes: list[dict[str, Any]] = [{"origin": jnp.array([v, -v, v])} for v in (1e3, 1e5, 1e7)]
+    changes += [{"turn": jnp.array([np.cos(a / 2), 0, 0, np.sin(a / 2)])} for a in (-1.0, 2.0, 3.0)]
+    changes += [{name: v} for name in ("length", "mass", "time") for v in (1e-3, 1e-1, 1e2, 1e3)]
+    changes += [{"cost": v} for v in (1e-6, 1e-3, 1e3, 1e6)]
+    for change in changes:
+        by = Units(**{k: jnp.asarray(v, float) for k, v in ({"cost": 1.0} | one | change).items()})
+        found = PLANNER(in_units(scene, by))
+        difference = abs(float(found.cost * by.cost / expected.cost) - 1.0)
+        worst = max(worst, difference)
+        if difference > 1e-6 or not _converged(found):
+            echo(f"units {change}: {jaxscp.status_names(found.status)}, cost differs by {difference:.1e}")
+    return {"invariance_worst": worst}
+
+
+def replans(count: int, seed: int, echo: Echo) -> dict[str, Any]:
+    """Re-plans after moves and turns of the start, where a fresh plan converges."""
+    random, failed, tried = np.random.default_rng([seed, 43]), 0, 0
+    for number in range(count):
+        base = chain(seed + number % 20).scenario
+        plan = PLANNER(base)
+        scenario = _moved(base, random, number)
+        if not (_converged(plan) and _converged(PLANNER(scenario))):
+            continue
+        tried += 1
+        again = PLANNER.replan(plan, scenario)
+        if not _converged(again):
+            failed += 1
+            echo(f"re-plan {number}: {jaxscp.status_names(again.status)}")
+    return {"replan_failed": failed, "replans": tried}
+
+
+def _moved(base: jaxscp.LandingScenario, random: np.random.Generator, number: int) -> jaxscp.LandingScenario:
+    """The start moved inside its polytope, or turned."""
+    if number % 2:
+        half = 0.5 * np.deg2rad(random.choice(TURNS))
+        q, turn = np.asarray(base.start.attitude), np.array([np.cos(half), 0.0, 0.0, np.sin(half)])
+        attitude = np.array([q[0] * turn[0] - q[3] * turn[3], 0.0, 0.0, q[0] * turn[3] + q[3] * turn[0]])
+        return eqx.tree_at(lambda s: s.start.attitude, base, jnp.asarray(attitude))
+    way = random.normal(size=3)
+    way *= random.choice(MOVES) / np.linalg.norm(way)
+    normals, offsets = np.asarray(base.corridor.normals[0]), np.asarray(base.corridor.offsets[0])
+    room_left, speed = offsets - normals @ np.asarray(base.start.position), normals @ way
+    longest = np.min(np.where(speed > 0, room_left / np.maximum(speed, 1e-12), np.inf))
+    way *= min(1.0, 0.9 * longest)
+    return eqx.tree_at(lambda s: s.start.position, base, base.start.position + way)
+
+
+def horizon(count: int, seed: int, echo: Echo) -> dict[str, Any]:
+    """Flights through chains by re-plans at 10 Hz, with noise of a centimetre on the measured position."""
+    arrived, fallbacks, plans = [], 0, 0
+    for number in range(max(count // 20, 1)):
+        came, fell, planned = _flight(
+            chain(seed + number).scenario, np.random.default_rng([seed, number, 47])
+        )
+        arrived.append(came)
+        fallbacks, plans = fallbacks + fell, plans + planned
+        if not came:
+            echo(f"flight {number}: did not arrive after {planned} plans")
+    return {"horizon_arrived_share": _share(arrived), "replan_fallbacks_share": fallbacks / max(plans, 1)}
+
+
+def _flight(scenario: jaxscp.LandingScenario, random: np.random.Generator) -> tuple[bool, int, int]:
+    """Whether a flight arrives; re-plans that failed, and plans in all. The plan is followed exactly between them."""
+    plan, fallbacks = PLANNER(scenario), 0
+    for ticks in range(1, MOST_TICKS + 1):
+        if not _converged(plan):
+            return False, fallbacks, ticks
+        if float(plan.final_time) <= 2.0 * TICK:
+            return True, fallbacks, ticks
+        state = np.array(plan.trajectory.at(jnp.array([TICK])).state[0])
+        noisy = state[:3] + NOISE * random.normal(size=3) / np.sqrt(3.0)
+        scenario = _from(scenario, state, noisy)
+        plan_again = PLANNER.replan(plan, scenario)
+        if not _converged(plan_again):
+            fallbacks += 1
+            plan_again = PLANNER(scenario)
+        plan = plan_again
+    return bool(np.linalg.norm(state[:3] - np.asarray(scenario.goal.position)) < NEAR), fallbacks, MOST_TICKS
+
+
+def _from(
+    scenario: jaxscp.LandingScenario, state: np.ndarray, position: np.ndarray
+) -> jaxscp.LandingScenario:
+    """The scenario from a measured state: polytopes and joints that lie behind become the one that holds it."""
+    normals, offsets = np.asarray(scenario.corridor.normals), np.asarray(scenario.corridor.offsets)
+    inside = np.all(offsets - normals @ position >= 0.0, axis=1)
+    start = dataclasses.replace(
+        scenario.start,
+        position=jnp.asarray(position),
+        velocity=jnp.asarray(state[3:6]),
+        attitude=jnp.asarray(state[6:10] / np.linalg.norm(state[6:10])),
+        body_rate=jnp.asarray(state[10:]),
+    )
+    scenario = dataclasses.replace(scenario, start=start)
+    if not inside.any():
+        return scenario
+    passed = int(np.max(np.flatnonzero(inside)))
+    corridor = scenario.corridor
+    index = np.maximum(np.arange(corridor.count), passed)
+    joints = np.asarray(corridor.joints).copy()
+    joints[:passed] = position
+    corridor = dataclasses.replace(
+        corridor, normals=corridor.normals[index], offsets=corridor.offsets[index], joints=jnp.asarray(joints)
+    )
+    return dataclasses.replace(scenario, corridor=corridor)
