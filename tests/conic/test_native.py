@@ -47,7 +47,7 @@ SHAPES = {
 
 
 # covered by the other shapes
-SLOW_SHAPES = (
+BY_NIGHT = (
     "links fill a pack",
     "links begin a pack",
     "three packs",
@@ -61,7 +61,7 @@ SLOW_SHAPES = (
 @pytest.mark.parametrize(
     "shape",
     [
-        pytest.param(shape, id=name, marks=[pytest.mark.slow] if name in SLOW_SHAPES else [])
+        pytest.param(shape, id=name, marks=[pytest.mark.nightly] if name in BY_NIGHT else [])
         for name, shape in SHAPES.items()
     ],
 )

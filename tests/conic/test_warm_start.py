@@ -23,7 +23,7 @@ STEPS = 3
 
 @pytest.fixture(
     scope="module",
-    params=[pytest.param(True, id="compiled"), pytest.param(False, id="JAX", marks=pytest.mark.slow)],
+    params=[pytest.param(True, id="compiled"), pytest.param(False, id="JAX", marks=pytest.mark.nightly)],
 )
 def solvers(request):
     """Solvers (program) -> solution with a cold start, and (program, warm start) -> solution."""

@@ -43,7 +43,7 @@ def slower(x, u, t, limit):
     return limit - x[1:2]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_soft_constraint():
     """At a large weight it is kept; at a weight of zero it has no effect; its cost is weight times the integral."""
     problem = double_integrator(ENERGY, js.Time(21, js.FixedTime(2.0)))
@@ -62,7 +62,7 @@ def test_soft_constraint():
     assert float(between.trajectory.state[:, 1].max()) > 0.65
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_final_time_apart_from_the_dilation():
     """The final time keeps its own limits, while the mesh may stretch."""
     time = js.Time(21, js.FreeTime(1.5, 10.0, dilation=(0.05, 20.0)))
@@ -95,7 +95,7 @@ def test_static_decision_variable():
     np.testing.assert_allclose(solved(problem).trajectory.state[:, 2], 6.0 / 7.0, rtol=EXACT)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_least_thrust():
     """The integral of |u|: full, none, full. With t1 seconds of thrust, 2 t1 (2 - t1) = 1."""
     problem = js.OptimalControlProblem(
@@ -118,7 +118,7 @@ def test_least_thrust():
     np.testing.assert_allclose(solution.cost, 2.0 * 2.0 * (1.0 - np.sqrt(0.5)), rtol=1e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_moving_target():
     """A target at 1 m that moves at 0.5 m/s: the least energy of its cubic, 12 d^2/T^3 - 12 d v/T^2 + 4 v^2/T."""
 
@@ -140,7 +140,7 @@ def test_moving_target():
     assert solution.certificate.end_units[-2:] == ("m", "m/s")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_reference_that_changes_from_node_to_node():
     """A sine at 40 nodes, linear between: its chords err by h^2/8."""
     times = np.linspace(0.0, 3.0, 40)
@@ -157,7 +157,7 @@ def test_reference_that_changes_from_node_to_node():
     np.testing.assert_allclose(solved(problem).cost, sine_cost(0.3), rtol=2e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_terminal_cost_that_is_not_affine_in_time():
     """t + 9 / t is least at 3 s."""
     problem = js.OptimalControlProblem(

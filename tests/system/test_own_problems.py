@@ -30,8 +30,9 @@ def solve_with(name, guess, number):
     return js.solve(CASES[name].problem(number), guess)
 
 
-@pytest.mark.slow
-@EVERY_CASE
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow if n == "Dubins" else pytest.mark.nightly) for n in CASES]
+)
 def test_optimum(name):
     """Cost of the exact optimum, and a certificate that passed."""
     case, problem, guess = request_of(name)

@@ -78,7 +78,7 @@ def test_random_ends_replan(case):
     assert tried >= 15
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_residuals_of_the_ends_count():
     """A trajectory whose dynamics hold, but whose start does not, is neither feasible nor free of merit."""
     from jaxscp.transcription.lagrangian import Merit, no_multipliers, residual
