@@ -34,6 +34,7 @@ import jaxscp  # noqa: E402
 from benchmarks.speed.timing import elapsed, median_seconds  # noqa: E402
 from jaxscp import LandingScenario, scenarios  # noqa: E402
 from jaxscp.landing.problem import landing_problem  # noqa: E402
+from jaxscp.landing.units import in_units, units_of  # noqa: E402
 from jaxscp.nlp.central_path import MU, Point  # noqa: E402
 from jaxscp.nlp.interior_point import NLPInteriorPoint  # noqa: E402
 from jaxscp.nlp.sensitivity import implicit_solution  # noqa: E402
@@ -139,7 +140,7 @@ def one(scenario, solution, leaf, key):
 
 def compare(mission: str, count: int, chunk: int, echo: Any) -> dict[str, Any]:
     """Derivatives compared with differences, for every leaf of every instance."""
-    # In the solver's own units, so that a solution's variables and multipliers are those of ``problem_of``.
+    # In the solver's own units: ``problem_of`` then has the variables and multipliers of the solution.
     batch = jax.vmap(lambda s: in_units(s, units_of(s)))(instances(mission, count))
     solutions = jax.vmap(PLANNER)(batch)
     names = leaves(batch)
