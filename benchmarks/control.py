@@ -28,8 +28,8 @@ import numpy as np  # noqa: E402
 
 import jaxscp  # noqa: E402
 from jaxscp.control import NMPC, Reference  # noqa: E402
-from tests.control.test_bounded_qp import solution_of_clarabel, solution_of_osqp  # noqa: E402
 from tests.support import closed_loop  # noqa: E402
+from tests.support.bounded_programs import solution_of_clarabel, solution_of_osqp  # noqa: E402
 from tests.support.flights_under_control import (  # noqa: E402
     CALM,
     HOVER,

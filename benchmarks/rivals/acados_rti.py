@@ -1,7 +1,7 @@
 """acados' real-time iteration on the tracking problem of ``benchmarks.control``: time of a tick.
 
-13 states and 4 thrusts of the same vehicle, a second in ten intervals that grow alike, the same weights and bounds,
-from a step of 1 m. Thrusts are constant over an interval, and have no rate limits; there is no
+The vehicle is the same, with 13 states and 4 thrusts; so are the ten intervals of a second, the weights and the bounds.
+It starts 1 m away. Thrusts are constant over an interval, and have no rate limits; there is no
 disturbance estimate and no delay. It needs NumPy and acados alone, which brings its own CasADi. So it runs in an
 environment of its own, where ``pip install comma-deps-acados`` put both:
 
@@ -44,7 +44,7 @@ def solver(intervals, folder):
     import acados
     import casadi as ca
 
-    # the package states its folders, but does not set what the interface reads
+    # the package names its folders, but does not set the variables that the interface reads
     os.environ.setdefault("ACADOS_SOURCE_DIR", acados.DIR)
     os.environ.setdefault("ACADOS_PYTHON_INTERFACE_PATH", acados.TEMPLATE_DIR)
     for name in ("blasfeo", "hpipm", "qpOASES_e", "acados"):

@@ -1,1 +1,1 @@
-"""How often plans of random scenes converge, keep what they promise, and may be planned again."""
+"""Shares of random scenes whose plans converge, are not refuted, and can be planned again."""

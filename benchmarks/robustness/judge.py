@@ -20,7 +20,7 @@ def _rate(scenario: jaxscp.LandingScenario, plan: jaxscp.Trajectory, time, state
 
 
 def refuted(scenario: jaxscp.LandingScenario, solution: jaxscp.Solution) -> str:
-    """What a plan does not keep; empty if it keeps all."""
+    """Names of the conditions that a plan breaks; empty if it keeps all."""
     plan = jax.tree.map(np.asarray, solution.trajectory)
     slope = lambda t, x: np.asarray(_rate(scenario, solution.trajectory, t, x))  # noqa: E731
     state, positions = np.asarray(scenario.start.vector()), []

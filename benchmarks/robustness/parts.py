@@ -12,6 +12,7 @@ import numpy as np
 import jaxscp
 from benchmarks.robustness.chains import chain, vehicle
 from benchmarks.robustness.judge import refuted
+from jaxscp.dynamics.rotations import from_yaw, multiply
 from jaxscp.landing.units import Units, in_units
 from tests.support.rooms import room
 from tests.system.test_binding_limits import ALL, SPEEDS, TILTS, limited
@@ -20,6 +21,7 @@ Echo = Callable[[str], None]
 PLANNER = jaxscp.Planner()
 MASSES = np.geomspace(0.03, 200.0, 10)  # kg
 ROUTES = (0.3, 3.0, 30.0, 300.0)  # m
+LOAD, LONGEST = 2.2, 120.0  # full thrust over weight, and s
 MOVES = (1e-3, 1e-2, 0.1, 1.0)  # m, of the start
 TURNS = (0.1, 10.0, 90.0, 180.0)  # degrees, of the start's heading
 TICK, NOISE = 0.1, 0.01  # s and m: the receding horizon
@@ -94,16 +96,13 @@ def vehicles(count: int, seed: int, echo: Echo) -> dict[str, Any]:
             scenario = room(
                 goal=(route, route / 6.0, 1.0), upper=(2.0 * route + 5.0, route + 5.0, route + 5.0)
             )
-            size = {"airframe": vehicle(mass, 2.2), "dilation_max": 120.0}
-            solution = PLANNER(dataclasses.replace(scenario, **{k: _like(v) for k, v in size.items()}))
+            longest = jnp.asarray(LONGEST)
+            scenario = dataclasses.replace(scenario, airframe=vehicle(mass, LOAD), dilation_max=longest)
+            solution = PLANNER(scenario)
             found.append(_converged(solution))
             if not found[-1]:
                 echo(f"{mass:.3g} kg over {route} m: {jaxscp.status_names(solution.status)}")
     return {"vehicles_converged_share": _share(found)}
-
-
-def _like(value: Any) -> Any:
-    return jnp.asarray(value) if isinstance(value, float) else value
 
 
 def units(count: int, seed: int, echo: Echo) -> dict[str, Any]:
@@ -112,7 +111,7 @@ def units(count: int, seed: int, echo: Echo) -> dict[str, Any]:
     expected = PLANNER(scene)
     one = {"origin": jnp.zeros(3), "turn": jnp.array([1.0, 0, 0, 0]), "length": 1.0, "time": 1.0, "mass": 1.0}
     changes: list[dict[str, Any]] = [{"origin": jnp.array([v, -v, v])} for v in (1e3, 1e5, 1e7)]
-    changes += [{"turn": jnp.array([np.cos(a / 2), 0, 0, np.sin(a / 2)])} for a in (-1.0, 2.0, 3.0)]
+    changes += [{"turn": from_yaw(jnp.asarray(a))} for a in (-1.0, 2.0, 3.0)]
     changes += [{name: v} for name in ("length", "mass", "time") for v in (1e-3, 1e-1, 1e2, 1e3)]
     changes += [{"cost": v} for v in (1e-6, 1e-3, 1e3, 1e6)]
     for change in changes:
@@ -145,10 +144,8 @@ def replans(count: int, seed: int, echo: Echo) -> dict[str, Any]:
 def _moved(base: jaxscp.LandingScenario, random: np.random.Generator, number: int) -> jaxscp.LandingScenario:
     """The start moved inside its polytope, or turned."""
     if number % 2:
-        half = 0.5 * np.deg2rad(random.choice(TURNS))
-        q, turn = np.asarray(base.start.attitude), np.array([np.cos(half), 0.0, 0.0, np.sin(half)])
-        attitude = np.array([q[0] * turn[0] - q[3] * turn[3], 0.0, 0.0, q[0] * turn[3] + q[3] * turn[0]])
-        return eqx.tree_at(lambda s: s.start.attitude, base, jnp.asarray(attitude))
+        turn = from_yaw(jnp.deg2rad(random.choice(TURNS)))
+        return eqx.tree_at(lambda s: s.start.attitude, base, multiply(base.start.attitude, turn))
     way = random.normal(size=3)
     way *= random.choice(MOVES) / np.linalg.norm(way)
     normals, offsets = np.asarray(base.corridor.normals[0]), np.asarray(base.corridor.offsets[0])

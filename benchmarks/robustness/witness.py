@@ -2,7 +2,7 @@
 
 A rigid body with rotors along its z axis is flat: position and heading give attitude, body rates and thrusts (Mellinger
 and Kumar, "Minimum snap trajectory generation and control for quadrotors", 2011). The heading stays as it is. The
-motion is a polynomial of ninth degree on each leg, with zero derivatives up to the fourth at both ends, so that the
+motion on each leg is a polynomial of ninth degree. Its derivatives up to the fourth are zero at both ends, so that the
 thrusts are continuous. Convex boxes hold the straight legs; the rotors' limits are checked here.
 """
 

@@ -116,10 +116,8 @@ def _sampling(about: dict[str, Any]) -> mc.Sampling:
     name = about.pop("sampling", "independent")
     if name == "grid":
         return mc.Grid(tuple(about.pop("points", ())))
-    count, seed = _needed(about, "count", "[sweep]"), about.get("seed", 0)
-    about.pop("count")
-    about.pop("seed", None)
-    return _choose(SAMPLERS, name, "[sweep] sampling")(count, seed)
+    _needed(about, "count", "[sweep]")
+    return _choose(SAMPLERS, name, "[sweep] sampling")(about.pop("count"), about.pop("seed", 0))
 
 
 def _parameter(table: dict[str, Any], number: int) -> mc.Parameter:

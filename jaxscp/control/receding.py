@@ -16,8 +16,9 @@ from jaxtyping import Array, Float
 
 from jaxscp.core.status import Status, StatusCode, status_names
 from jaxscp.core.types import Flag, Scalar
-from jaxscp.problem.node_values import node_times
 from jaxscp.problem.trajectory import Trajectory
+
+LEAST_PART = 0.1  # of scaled time
 
 
 class HeldPlan(eqx.Module):
@@ -37,17 +38,12 @@ class HeldPlan(eqx.Module):
     def remaining(self, time: Scalar | float) -> Trajectory:
         """The part of the plan from a time on, on as many nodes: the guess of a re-plan.
 
-        Controls and dilation are exact at the new nodes; states are linear between the old ones. Before the start it
-        is the whole plan, and near the end the last ``LEAST_PART`` of scaled time.
+        See ``Trajectory.remainder``. Before the start it is the whole plan, and near the end the last ``LEAST_PART`` of
+        scaled time.
         """
         plan = self.trajectory
         tau = jnp.minimum(plan.scaled_time(time - self.start), 1.0 - LEAST_PART)
-        old = jnp.linspace(0.0, 1.0, plan.nodes)
-        new = tau + (1.0 - tau) * old
-        columns = jax.vmap(lambda values: jnp.interp(new, old, values), in_axes=1, out_axes=1)
-        dilation = (1.0 - tau) * jnp.interp(new, old, plan.dilation)
-        state, control = columns(plan.state), columns(plan.control)
-        return Trajectory(node_times(dilation), state, control, dilation, plan.zero_order_hold, plan.dynamics)
+        return plan.remainder(tau).with_dynamics(plan.dynamics)
 
     def state_at(self, time: Scalar | float) -> Float[Array, "states"]:
         """State that the plan has at a time, held at its ends; where a new plan may begin.
@@ -57,9 +53,6 @@ class HeldPlan(eqx.Module):
         """
         elapsed = jnp.clip(time - self.start, 0.0, self.trajectory.time[-1])
         return self.trajectory.at(elapsed).state
-
-
-LEAST_PART = 0.1
 
 
 def replaced(held: HeldPlan, new: HeldPlan, status: StatusCode) -> tuple[HeldPlan, Flag]:

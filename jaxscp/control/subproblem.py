@@ -40,9 +40,7 @@ def tracking_qp(
         return value(state), jax.jacfwd(value)(state)
 
     value, of_state = jax.vmap(error)(plan.state[1:], states[1:])
-    # the trapezoidal rule; the first node is given
-    share = 0.5 * (lengths + jnp.append(lengths[1:], 0.0))
-    weight = share[:, None] * tracking.state
+    weight = _node_weights(lengths)[:, None] * tracking.state
     root = jnp.sqrt(weight.at[-1].add(tracking.final))
     columns = root[:, :, None] * (of_state @ sensitivities).at[:, :, 0].add(value)
     columns = columns.reshape(-1, columns.shape[2])
@@ -76,12 +74,16 @@ def centre(actuators: Actuators, before: Float[Array, "controls"], grid: Array) 
     return before + jnp.clip(away, -reach, reach)
 
 
+def _node_weights(lengths: Float[Array, "intervals"]) -> Float[Array, "intervals"]:
+    """Weights of the trapezoidal rule, of the nodes after the first: that one is given."""
+    return 0.5 * (lengths + jnp.append(lengths[1:], 0.0))
+
+
 def _control_cost(tracking: Tracking, lengths: Array, reference: Array, before: Array):
     """Hessian and gradient of the weights of the controls and their rates, at controls of zero."""
     count, controls = lengths.shape[0], before.shape[0]
-    share = 0.5 * (lengths + jnp.append(lengths[1:], 0.0))
     change = jnp.eye(count) - jnp.eye(count, k=-1)
-    of_control = share[:, None] * tracking.control
+    of_control = _node_weights(lengths)[:, None] * tracking.control
     of_rate = tracking.control_rate / lengths[:, None]
     blocks = jnp.einsum("kc,ki,kj->ijc", of_rate, change, change)
     blocks = blocks + jnp.eye(count)[:, :, None] * of_control[:, None, :]

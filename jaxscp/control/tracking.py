@@ -12,6 +12,10 @@ from jaxscp.dynamics import rotations
 from jaxscp.dynamics.base import Dynamics
 from jaxscp.dynamics.rigid_body import RigidBody
 
+FLIGHT_WEIGHTS = 60.0, 6.0, 6.0, 0.3
+"""Of position (1/m^2), velocity (s^2/m^2), attitude and body rate (s^2)."""
+FINAL = 0.5  # s: final weights over running ones
+
 
 def difference(state: Float[Array, "states"], reference: Float[Array, "states"]) -> Float[Array, "states"]:
     """State less reference."""
@@ -66,8 +70,3 @@ class Tracking(eqx.Module):
             state = np.repeat(FLIGHT_WEIGHTS, 3)
             return Tracking(state, FINAL * state, np.full(m, 0.02), np.full(m, 2e-4), flight_error)
         return Tracking(np.ones(n), np.ones(n), np.full(m, 1e-2), np.full(m, 1e-4))
-
-
-FLIGHT_WEIGHTS = 60.0, 6.0, 6.0, 0.3
-"""Of position (1/m^2), velocity (s^2/m^2), attitude and body rate (s^2)."""
-FINAL = 0.5  # s: final weights over running ones

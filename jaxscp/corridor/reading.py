@@ -20,7 +20,6 @@ Install the libraries with ``pip install 'jaxscp[clouds]'``; the last four rows 
 import warnings
 from collections.abc import Callable
 from functools import partial
-from importlib import import_module
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -28,6 +27,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from jaxscp.core.extras import of_extra
 from jaxscp.corridor.arrays_on_file import read_npy
 from jaxscp.corridor.clouds import PointCloud, Provenance
 from jaxscp.corridor.conventions import metres, to_z_up
@@ -135,10 +135,7 @@ def _in_metres(
 
 
 def _library(extra: str, path: Path, name: str) -> Any:
-    try:
-        return import_module(name)
-    except ImportError as error:
-        raise ImportError(f"reading {path.name} needs {name}: pip install 'jaxscp[{extra}]'") from error
+    return of_extra(name, extra, f"reading {path.name} needs {name}")
 
 
 def _usable(

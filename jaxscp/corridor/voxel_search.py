@@ -7,6 +7,7 @@ import numpy as np
 import scipy
 from jaxtyping import Bool, Float
 
+from jaxscp.core.extras import of_extra
 from jaxscp.corridor.limits import Point
 from jaxscp.corridor.search_space import Space
 
@@ -81,10 +82,7 @@ def search(space: Space, start: Point, goal: Point, edge: float) -> Waypoints | 
     Raises:
         ImportError: scikit-image is not installed.
     """
-    try:
-        from skimage.graph import MCP_Geometric
-    except ImportError as error:
-        raise ImportError("the route search needs scikit-image: pip install 'jaxscp[clouds]'") from error
+    graph = of_extra("skimage.graph", "clouds", "the route search needs scikit-image")
     grid = Grid.over(space, edge)
     limits = space.to_limits(np.stack(np.meshgrid(*grid.centres, indexing="ij"), axis=-1))
     distance = np.minimum(_distance(space, grid), limits)
@@ -93,7 +91,7 @@ def search(space: Space, start: Point, goal: Point, edge: float) -> Waypoints | 
     for name, end in zip(("start", "goal"), ends, strict=True):
         if not len(end):
             return Blocked(_hemmed_in(name, space, edge), proven=False)
-    finder = MCP_Geometric(np.where(free, 1.0, -1.0), sampling=tuple(grid.step))
+    finder = graph.MCP_Geometric(np.where(free, 1.0, -1.0), sampling=tuple(grid.step))
     reached, _ = finder.find_costs(
         [tuple(c) for c in ends[0]], [tuple(c) for c in ends[1]], find_all_ends=False
     )

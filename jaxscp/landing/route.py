@@ -79,7 +79,7 @@ def _polytopes_of(corridor: Corridor, start: Vector3, goal: Vector3, gates: Poin
     first = jnp.where(index == 0, 0.0, jnp.inf)
     (last, lengths), came_from = jax.lax.scan(forward, (start, first), (gates, outside))
     final = jnp.argmin(lengths + _way_lengths(corridor.joints, last, goal)[:, -1])
-    # Entry g of ``came_from`` leads from gate g to the gate before; that of the first gate leads to the start.
+    # Row g of ``came_from`` leads from gate g to the gate before, and row 0 to the start.
     _, before = jax.lax.scan(lambda p, table: (table[p], p), final, came_from, reverse=True)
     return before
 

@@ -108,9 +108,8 @@ class Units(eqx.Module):
 
     def _of_states(self, y: Float[Array, "*b rows"]) -> Float[Array, "*b rows"]:
         """Multipliers of rows in the order of states, or of an end condition on a pose."""
-        whole = (
-            y.shape[-1] - 12
-        )  # rows after a pose's twelve, or a fourth component of the quaternion among them
+        # Rows beyond the twelve of a pose: a fourth component of the quaternion is among them.
+        whole = y.shape[-1] - 12
         turned = [y[..., :3] @ self.matrix, y[..., 3:6] @ self.matrix, y[..., 6:]]
         if whole > 0:
             back = _left_product(rotations.conjugate(self.turn))

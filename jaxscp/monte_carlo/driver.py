@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import functools
 import os
 import time
 from collections.abc import Iterator
@@ -10,14 +11,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxscp.monte_carlo.chunk import ChunkJob, ChunkReport, Evaluator
-from jaxscp.monte_carlo.engines import Engine, InProcess
+from jaxscp.monte_carlo.engines import Engine, InProcess, Opened
 from jaxscp.monte_carlo.errors import InvalidStudy, SweepError, extra
 from jaxscp.monte_carlo.intervals import wilson
 from jaxscp.monte_carlo.outcome import SUCCESS, Outcome
 from jaxscp.monte_carlo.progress import Progress, Silent, Snapshot
-from jaxscp.monte_carlo.results import Sweep
+from jaxscp.monte_carlo.results import Sweep, study_of
 from jaxscp.monte_carlo.stopping import Ending, Observed, Stop
-from jaxscp.monte_carlo.storage import CONFIGURATION, ENDING, LOCK, Layout, Store, marker
+from jaxscp.monte_carlo.storage import CONFIGURATION, ENDING, LOCK, Layout, Store
 from jaxscp.monte_carlo.study import Study
 from jaxscp.monte_carlo.trajectories import Keep, NoTrajectories
 
@@ -115,7 +116,7 @@ def _check(study: Study, stop: tuple[Stop, ...], chunk: int) -> None:
             )
 
 
-def _prepared(asked: _Request, engine: Engine) -> ChunkJob:
+def _prepared(asked: _Request, engine: Opened) -> ChunkJob:
     study, store = asked.study, asked.store
     identity = study.identity()
     stored = store.read(CONFIGURATION)
@@ -161,25 +162,27 @@ class _Run:
         self.done: dict[int, int] = {}
         """Successes of each finished chunk."""
         self.fresh, self.ending = 0, None
+        self._first = functools.cache(
+            self._read
+        )  # complete cases change no more, and rules ask at every chunk
         self._sound()
 
     def _sound(self) -> None:
         """Read finished chunks back; those that do not agree with their checksum are computed again."""
         store, layout = self.job.store, self.job.layout
         for index in store.done():
-            if store.sound(index, layout.cases(index)):
-                about = store.read(marker(index)) or {}
-                self.done[index] = about["successes"]
-            else:
+            about = store.facts(index, layout.cases(index))
+            if about is None:
                 self.progress.message(f"chunk {index} is damaged, and computed again")
+            else:
+                self.done[index] = about["successes"]
 
-    def go(self, engine: Engine) -> None:
+    def go(self, engine: Opened) -> None:
         """Compute the missing chunks, until a rule ends the sweep."""
         missing = [index for index in range(self.job.layout.chunks) if index not in self.done]
         if self._enough() or not missing:
             return
-        reports = engine.chunks(self.job, missing)
-        with contextlib.closing(reports) if hasattr(reports, "close") else contextlib.nullcontext():  # pyright: ignore[reportArgumentType]
+        with contextlib.closing(engine.chunks(self.job, missing)) as reports:
             for report in reports:
                 self._take(report)
                 if self._enough():
@@ -197,17 +200,18 @@ class _Run:
         return min(first * layout.chunk, layout.count)
 
     def _enough(self) -> bool:
-        complete = self.complete()
-        arrays = self.job.store.arrays
-        seen = Observed(
-            complete,
-            self.job.layout.count,
-            time.perf_counter() - self.began,
-            lambda name, n: np.asarray(arrays[_known(arrays, name)][:n]),
-        )
+        seconds = time.perf_counter() - self.began
+        seen = Observed(self.complete(), self.job.layout.count, seconds, self._first)
         found = [ending for rule in self.stop if (ending := rule.ended(seen)) is not None]
         self.ending = min(found, key=lambda ending: ending.cases, default=None)
         return self.ending is not None
+
+    def _read(self, name: str, cases: int) -> np.ndarray:
+        """Values of a result in cases 0 to ``cases`` - 1."""
+        arrays = self.job.store.arrays
+        if name not in arrays:
+            raise InvalidStudy(f"stop: no result is called {name!r}; there are {', '.join(sorted(arrays))}.")
+        return np.asarray(arrays[name][:cases])
 
     def end(self) -> None:
         """Store where the sweep ended."""
@@ -228,12 +232,6 @@ class _Run:
         return Snapshot(done, layout.count, done - successes if known else None, share, rate, left)
 
 
-def _known(arrays: dict[str, Any], name: str) -> str:
-    if name not in arrays:
-        raise InvalidStudy(f"stop: no result is called {name!r}; there are {', '.join(sorted(arrays))}.")
-    return name
-
-
 def rerun(sweep: Sweep | Study, number: int, evaluator: Evaluator | None = None) -> Any:
     """Run one case again, and return all that ``study.run`` returns: a ``Solution``, say.
 
@@ -248,11 +246,7 @@ def rerun(sweep: Sweep | Study, number: int, evaluator: Evaluator | None = None)
     Raises:
         InvalidStudy: if there is no such case, or the sweep was opened without its study.
     """
-    study = sweep if isinstance(sweep, Study) else sweep.study
-    if study is None:
-        raise InvalidStudy(
-            "rerun: the sweep was opened without its study; open_sweep(address, study) takes it."
-        )
+    study = study_of(sweep)
     case = study.case(number)
     if evaluator is None:
         return study.run(case)

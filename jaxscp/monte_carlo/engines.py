@@ -6,11 +6,12 @@ import dataclasses
 import functools
 import importlib
 import io
+import multiprocessing
 import os
 import pickle
 import sys
 import types
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from typing import Any, Protocol, runtime_checkable
 
 import jax
@@ -25,6 +26,15 @@ from jaxscp.monte_carlo.study import Study
 
 @runtime_checkable
 class Engine(Protocol):
+    """Gives something that computes chunks."""
+
+    def opened(self) -> contextlib.AbstractContextManager["Opened"]:
+        """A context, in which chunks are computed."""
+        ...
+
+
+@runtime_checkable
+class Opened(Protocol):
     """Computes chunks in any order."""
 
     @property
@@ -32,15 +42,11 @@ class Engine(Protocol):
         """How each process runs its cases."""
         ...
 
-    def opened(self) -> Any:
-        """A context, in which the engine computes."""
-        ...
-
     def quantities(self, study: Study) -> dict[str, Quantity]:
         """Results of a case, by name."""
         ...
 
-    def chunks(self, job: ChunkJob, indices: Iterable[int]) -> Iterator[ChunkReport]:
+    def chunks(self, job: ChunkJob, indices: Iterable[int]) -> Generator[ChunkReport, None, None]:
         """Compute chunks, and yield a report of each."""
         ...
 
@@ -55,17 +61,17 @@ class InProcess:
 
     evaluator: Evaluator = OneByOne()  # noqa: RUF009
 
-    def opened(self) -> Any:
+    def opened(self) -> contextlib.AbstractContextManager[Opened]:
         """See ``Engine``."""
         return contextlib.nullcontext(self)
 
     def quantities(self, study: Study) -> dict[str, Quantity]:
-        """See ``Engine``."""
+        """See ``Opened``."""
         return self.evaluator.quantities(study)
 
-    def chunks(self, job: ChunkJob, indices: Iterable[int]) -> Iterator[ChunkReport]:
-        """See ``Engine``."""
-        return map(job.run, indices)
+    def chunks(self, job: ChunkJob, indices: Iterable[int]) -> Generator[ChunkReport, None, None]:
+        """See ``Opened``."""
+        yield from map(job.run, indices)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,17 +88,17 @@ class Workers:
     evaluator: Evaluator = OneByOne()  # noqa: RUF009
     in_flight: int = 2 * (os.cpu_count() or 1)
 
-    def opened(self) -> Any:
+    def opened(self) -> contextlib.AbstractContextManager[Opened]:
         """See ``Engine``."""
         return contextlib.nullcontext(self)
 
     def quantities(self, study: Study) -> dict[str, Quantity]:
-        """See ``Engine``."""
+        """See ``Opened``."""
         payload = _packed((study, self.evaluator))
         return self.executor.submit(_quantities, payload).result()
 
-    def chunks(self, job: ChunkJob, indices: Iterable[int]) -> Iterator[ChunkReport]:
-        """See ``Engine``."""
+    def chunks(self, job: ChunkJob, indices: Iterable[int]) -> Generator[ChunkReport, None, None]:
+        """See ``Opened``."""
         payload, pending, rest = _packed(job), set(), iter(indices)
         try:
             while True:
@@ -132,9 +138,7 @@ class Processes:
     @contextlib.contextmanager
     def opened(self) -> Iterator[Workers]:
         """See ``Engine``: starts the processes, and ends them."""
-        context = extra("multiprocessing").get_context(
-            "spawn"
-        )  # a fork would copy JAX's threads in any state
+        context = multiprocessing.get_context("spawn")  # a fork would copy JAX's threads in any state
         counter = context.Value("i", 0)
         pool = concurrent.futures.ProcessPoolExecutor(
             self.count, mp_context=context, initializer=_started, initargs=(counter, self.count, os.getpid())
@@ -143,14 +147,6 @@ class Processes:
             yield Workers(pool, self.evaluator, 2 * self.count)
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
-
-    def quantities(self, study: Study) -> dict[str, Quantity]:
-        """See ``Engine``: the opened engine is asked."""
-        raise NotImplementedError
-
-    def chunks(self, job: ChunkJob, indices: Iterable[int]) -> Iterator[ChunkReport]:
-        """See ``Engine``: the opened engine computes."""
-        raise NotImplementedError
 
 
 def _started(counter: Any, count: int, parent: int) -> None:

@@ -1,7 +1,8 @@
 """Errors of a sweep, and packages that only sweeps need."""
 
-import importlib
 from typing import Any
+
+from jaxscp.core.extras import of_extra
 
 
 class InvalidStudy(ValueError):
@@ -27,8 +28,4 @@ def extra(module: str, name: str = "sweeps") -> Any:
         Traceback (most recent call last):
         ImportError: sweeps need the package no_such_module: pip install 'jaxscp[sweeps]'
     """
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        package = module.partition(".")[0]
-        raise ImportError(f"sweeps need the package {package}: pip install 'jaxscp[{name}]'") from error
+    return of_extra(module, name, f"sweeps need the package {module.partition('.')[0]}")

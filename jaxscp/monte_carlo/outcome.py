@@ -16,6 +16,8 @@ from jaxscp.verification.certificate import Certificate
 
 SUCCESS = "success"
 STATUS = "status"
+TRAJECTORY = "time", "state", "control", "dilation"
+"""Stored arrays of a ``Trajectory``."""
 _STATUS_TYPE = type(Status.converged)
 _CONVERGED = STATUS_NAMES.index("converged")
 
@@ -48,11 +50,7 @@ def outcome_of(value: Any) -> Outcome:
         InvalidStudy: if a number is an array.
     """
     if isinstance(value, Solution):
-        path = value.trajectory
-        return Outcome(
-            _solution_scalars(value),
-            {name: getattr(path, name) for name in ("time", "state", "control", "dilation")},
-        )
+        return Outcome(_solution_scalars(value), _arrays_of(value.trajectory))
     found = value if isinstance(value, Outcome) else Outcome(value)
     scalars = dict(dotted_leaves(jax.tree.map(_number, found.scalars, is_leaf=_is_status)))
     if not scalars:
@@ -68,8 +66,12 @@ def outcome_of(value: Any) -> Outcome:
     numbers = {name or "value": leaf for name, leaf in scalars.items()}
     path = found.trajectory
     if isinstance(path, Trajectory):
-        path = {name: getattr(path, name) for name in ("time", "state", "control", "dilation")}
+        path = _arrays_of(path)
     return Outcome(numbers, None if path is None else dict(dotted_leaves(path)))
+
+
+def _arrays_of(trajectory: Trajectory) -> dict[str, Any]:
+    return {name: getattr(trajectory, name) for name in TRAJECTORY}
 
 
 def _solution_scalars(solution: Solution) -> dict[str, Any]:
@@ -89,9 +91,8 @@ def certificate_scalars(certificate: Certificate) -> dict[str, Any]:
     """Worst violation, defect, and every row of a certificate, by name."""
     rows = {f"error_{_word(n)}": certificate.end_errors[i] for i, n in enumerate(certificate.end_names)}
     rows |= {f"violation_{_word(n)}": certificate.between_nodes[i] for i, n in enumerate(certificate.names)}
-    xp = namespace(
-        certificate.between_nodes
-    )  # ``certificate.violation`` would run compiled code for each case
+    # ``certificate.violation`` would run compiled code for each case
+    xp = namespace(certificate.between_nodes)
     hard = xp.where(xp.isinf(certificate.allowed), 0.0, certificate.between_nodes)
     return {"violation": xp.max(hard, initial=0.0), "defect": certificate.defect, **rows}
 

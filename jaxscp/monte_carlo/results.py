@@ -10,13 +10,11 @@ from jaxtyping import Int
 from jaxscp.core.status import STATUS_NAMES
 from jaxscp.monte_carlo.errors import InvalidStudy, SweepError, extra
 from jaxscp.monte_carlo.intervals import Interval
-from jaxscp.monte_carlo.outcome import STATUS
+from jaxscp.monte_carlo.outcome import STATUS, TRAJECTORY
 from jaxscp.monte_carlo.stopping import Ending
 from jaxscp.monte_carlo.storage import CONFIGURATION, DATA, ENDING, STORED, Layout, Store
 from jaxscp.monte_carlo.study import Study
 from jaxscp.problem.trajectory import Trajectory
-
-_TRAJECTORY = "time", "state", "control", "dilation"
 
 
 class Sweep:
@@ -113,8 +111,8 @@ class Sweep:
                 f"case {number}: its trajectory is not stored; rerun(sweep, {number}) computes it again."
             )
         arrays = {name.partition(".")[2]: np.asarray(self.store.arrays[name][number]) for name in names}
-        if set(arrays) == set(_TRAJECTORY):
-            time, state, control, dilation = (jnp.asarray(arrays[name]) for name in _TRAJECTORY)
+        if set(arrays) == set(TRAJECTORY):
+            time, state, control, dilation = (jnp.asarray(arrays[name]) for name in TRAJECTORY)
             return Trajectory(time, state, control, dilation)
         return arrays
 
@@ -130,12 +128,22 @@ class Sweep:
         Raises:
             InvalidStudy: if the sweep was opened without its study.
         """
-        if self.study is None:
-            raise InvalidStudy("the sweep was opened without its study; open_sweep(address, study) takes it.")
-        return self.study.case(number)
+        return study_of(self).case(number)
 
     def __repr__(self) -> str:
         return f"Sweep({self.store.address!r}, {self.complete} of {self.layout.count} cases)"
+
+
+def study_of(sweep: Sweep | Study) -> Study:
+    """The study of a sweep, or the study itself.
+
+    Raises:
+        InvalidStudy: if the sweep was opened without its study.
+    """
+    study = sweep if isinstance(sweep, Study) else sweep.study
+    if study is None:
+        raise InvalidStudy("the sweep was opened without its study; open_sweep(address, study) takes it.")
+    return study
 
 
 def _ending(stored: dict[str, Any]) -> Ending:
@@ -157,7 +165,7 @@ def open_sweep(address: str | os.PathLike, study: Study | None = None) -> Sweep:
     store, layout = found.store, found.layout
     if study is not None:
         store.check(store.read(CONFIGURATION) or {}, study.identity())
-    damaged = [i for i in store.done() if i < layout.chunks and not store.sound(i, layout.cases(i))]
+    damaged = [i for i in store.done() if i < layout.chunks and store.facts(i, layout.cases(i)) is None]
     if damaged:
         raise SweepError(
             f"{store.address}: the values of {len(damaged)} chunks do not agree with their checksums (chunk "

@@ -37,7 +37,23 @@ class Sampling(Protocol):
 
 
 @dataclasses.dataclass(frozen=True)
-class Independent:
+class _Seeded:
+    """A number of cases, drawn from a seed."""
+
+    count: int
+    seed: int = 0
+
+    def __post_init__(self):
+        for field, least in (("count", 1), ("seed", 0)):
+            value = getattr(self, field)
+            if not isinstance(value, int | np.integer) or value < least:
+                raise InvalidStudy(
+                    f"{type(self).__name__}: {field} must be a whole number, {least} or more, got {value!r}."
+                )
+
+
+@dataclasses.dataclass(frozen=True)
+class Independent(_Seeded):
     """Independent cases: NumPy's Philox counter generator, keyed by the seed, its counter set by the case's number.
 
     Source: Salmon et al., Parallel random numbers: as easy as 1, 2, 3 (SC11).
@@ -53,12 +69,7 @@ class Independent:
         True
     """
 
-    count: int
-    seed: int = 0
     independent: bool = dataclasses.field(default=True, init=False)
-
-    def __post_init__(self):
-        _check(self)
 
     def points(self, numbers: Numbers, dimensions: int) -> UnitPoints:
         """See ``Sampling``."""
@@ -70,15 +81,10 @@ class Independent:
 
 
 @dataclasses.dataclass(frozen=True)
-class LatinHypercube:
+class LatinHypercube(_Seeded):
     """A Latin hypercube (``scipy.stats.qmc``): each parameter has one case in each of ``count`` equal slices."""
 
-    count: int
-    seed: int = 0
     independent: bool = dataclasses.field(default=False, init=False)
-
-    def __post_init__(self):
-        _check(self)
 
     def points(self, numbers: Numbers, dimensions: int) -> UnitPoints:
         """See ``Sampling``."""
@@ -86,15 +92,10 @@ class LatinHypercube:
 
 
 @dataclasses.dataclass(frozen=True)
-class Sobol:
+class Sobol(_Seeded):
     """A scrambled Sobol sequence (``scipy.stats.qmc``); a power of two of cases is balanced."""
 
-    count: int
-    seed: int = 0
     independent: bool = dataclasses.field(default=False, init=False)
-
-    def __post_init__(self):
-        _check(self)
 
     def points(self, numbers: Numbers, dimensions: int) -> UnitPoints:
         """See ``Sampling``."""
@@ -200,11 +201,3 @@ def _sobol(count: int, seed: int, dimensions: int) -> np.ndarray:
 
 def _inside(points: np.ndarray) -> np.ndarray:
     return np.clip(points, _INSIDE, 1.0 - _INSIDE)
-
-
-def _check(sampling: "Independent | LatinHypercube | Sobol") -> None:
-    name = type(sampling).__name__
-    for field, least in (("count", 1), ("seed", 0)):
-        value = getattr(sampling, field)
-        if not isinstance(value, int | np.integer) or value < least:
-            raise InvalidStudy(f"{name}: {field} must be a whole number, {least} or more, got {value!r}.")

@@ -2,19 +2,18 @@
 
 import dataclasses
 import functools
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxscp.monte_carlo.errors import InvalidStudy, extra
+from jaxscp.monte_carlo.intervals import score
 from jaxscp.monte_carlo.outcome import outcome_of
+from jaxscp.monte_carlo.results import Sweep, study_of
 from jaxscp.monte_carlo.sampling import Numbers, UnitPoints
 from jaxscp.monte_carlo.study import ById, Study
-
-if TYPE_CHECKING:
-    from jaxscp.monte_carlo.results import Sweep
 
 
 class Effect(NamedTuple):
@@ -26,7 +25,7 @@ class Effect(NamedTuple):
     upper: float
 
 
-def rank_correlations(sweep: "Sweep", result: str, confidence: float = 0.95) -> list[Effect]:
+def rank_correlations(sweep: Sweep, result: str, confidence: float = 0.95) -> list[Effect]:
     """Spearman's rank correlation of each parameter with a result, the strongest first.
 
     Intervals: Fisher's z with the variance of Bonett and Wright (Psychometrika 2000). Cases whose result is not finite
@@ -41,8 +40,6 @@ def rank_correlations(sweep: "Sweep", result: str, confidence: float = 0.95) -> 
         SweepError: if there is no such result.
     """
     from scipy.stats import spearmanr
-
-    from jaxscp.monte_carlo.intervals import score
 
     values = sweep.values(result).astype(float)
     finite, found = np.isfinite(values), []
@@ -96,7 +93,7 @@ class Saltelli:
         return np.clip(found, 1e-15, 1.0 - 1e-15)[numbers]
 
 
-def sobol_indices(sweep: "Sweep", result: str) -> dict[str, list[Effect]]:
+def sobol_indices(sweep: Sweep, result: str) -> dict[str, list[Effect]]:
     """First-order and total Sobol indices of each parameter (SALib), with 95 % bootstrap intervals.
 
     Args:
@@ -133,7 +130,7 @@ def _problem(names: list[str]) -> dict[str, Any]:
     return {"num_vars": len(names), "names": names, "bounds": [[0.0, 1.0]] * len(names)}
 
 
-def gradient(sweep: "Sweep | Study", number: int, of: str) -> dict[str, float]:
+def gradient(sweep: Sweep | Study, number: int, of: str) -> dict[str, float]:
     """Derivatives of one result of one case with respect to each parameter, by ``jax.grad``.
 
     Of a plan in the default mode, these are implicit derivatives of the optimum. They compile once for a study.
@@ -153,15 +150,8 @@ def gradient(sweep: "Sweep | Study", number: int, of: str) -> dict[str, float]:
         >>> mc.gradient(study, 0, "y")
         {'x': 6.0}
     """
-    study = sweep if isinstance(sweep, Study) else sweep.study
-    if study is None:
-        raise InvalidStudy(
-            "gradient: the sweep was opened without its study; open_sweep(address, study) takes it."
-        )
-    if not 0 <= number < study.count:
-        raise InvalidStudy(f"case {number}: the study has cases 0 to {study.count - 1}.")
-    values = study.values(np.array([number]))[0]
-    found = _gradient(ById(study), of)(jnp.asarray(values))
+    study = study_of(sweep)
+    found = _gradient(ById(study), of)(jnp.asarray(study.values_of(number)))
     return {name: float(value) for name, value in zip(study.names, found, strict=True)}
 
 

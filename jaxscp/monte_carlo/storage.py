@@ -120,15 +120,16 @@ class Store:
         """Say that a chunk is complete, after its values; with facts about it."""
         self.write(marker(index), {"checksum": checksum(values), "names": sorted(values), **facts})
 
-    def sound(self, index: int, cases: slice) -> bool:
-        """Whether a chunk with a marker reads back with its checksum."""
+    def facts(self, index: int, cases: slice) -> dict[str, Any] | None:
+        """Facts about a chunk with a marker that reads back with its checksum; None of a damaged one."""
         about = self.read(marker(index))
         if about is None:
-            return False
+            return None
         try:
-            return checksum({name: self.arrays[name][cases] for name in about["names"]}) == about["checksum"]
+            found = checksum({name: self.arrays[name][cases] for name in about["names"]})
         except Exception:  # a damaged file fails in its codec, with any error
-            return False
+            return None
+        return about if found == about["checksum"] else None
 
     def done(self) -> list[int]:
         """Chunks that have a marker."""
@@ -149,7 +150,7 @@ class Layout:
         count: number of cases.
         chunk: cases a chunk.
         parameters: units of the parameters, by name.
-        quantities: what is stored of every case, by name.
+        quantities: stored for every case, by name.
     """
 
     count: int

@@ -7,6 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 import scipy
+from jaxtyping import Float
 
 from jaxscp.aot.planner_cache import code_digest
 from jaxscp.core.version import __version__
@@ -112,9 +113,17 @@ class Study:
         Raises:
             InvalidStudy: if there is no such case.
         """
+        return self.insert(self.values_of(number))
+
+    def values_of(self, number: int) -> Float[np.ndarray, "parameters"]:
+        """Drawn values of one case.
+
+        Raises:
+            InvalidStudy: if there is no such case.
+        """
         if not 0 <= number < self.count:
             raise InvalidStudy(f"case {number}: the study has cases 0 to {self.count - 1}.")
-        return self.insert(self.values(np.array([number]))[0])
+        return self.values(np.array([number]))[0]
 
     def insert(self, values: Any) -> Any:
         """The base with values of the parameters, (parameters,); they may be traced."""

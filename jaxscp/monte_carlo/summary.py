@@ -18,7 +18,7 @@ VIOLATION = "violation"
 
 @dataclasses.dataclass(frozen=True)
 class Summary:
-    """What came of a sweep; ``print`` shows it."""
+    """Statistics of a sweep; ``print`` shows them."""
 
     cases: int
     share: Interval | None
@@ -79,7 +79,7 @@ def summarise(sweep: Sweep, confidence: float = CONFIDENCE, resamples: int = RES
     numeric = {
         name: values
         for name, values in results.items()
-        if np.issubdtype(values.dtype, np.floating) and _row(name) == ""
+        if np.issubdtype(values.dtype, np.floating) and not _of_certificate(name)
     }
     resamples = resamples if sweep.independent else 0
     return Summary(
@@ -90,7 +90,7 @@ def summarise(sweep: Sweep, confidence: float = CONFIDENCE, resamples: int = RES
         violations={
             name: float(np.nanmax(values[good]))
             for name, values in results.items()
-            if _row(name) and np.any(np.isfinite(values[good]))
+            if _of_certificate(name) and np.any(np.isfinite(values[good]))
         },
         worst=_worst(sweep.numbers, good, results.get(VIOLATION)),
         units={name: quantity.unit for name, quantity in sweep.layout.quantities.items()},
@@ -145,9 +145,9 @@ def _worst(numbers: np.ndarray, good: np.ndarray, violation: np.ndarray | None) 
     return [int(numbers[i]) for i in enough[:WORST]]
 
 
-def _row(name: str) -> str:
-    """Rows of the certificate."""
-    return name if name.startswith(("violation", "error_", "defect")) else ""
+def _of_certificate(name: str) -> bool:
+    """Whether a result is a row of the certificate."""
+    return name.startswith(("violation", "error_", "defect"))
 
 
 def _percent(share: Interval) -> str:

@@ -1,8 +1,8 @@
 """Second-order conditions away from their apex, as smooth inequalities of one number.
 
-Where t > 0, |w| <= t is the same as h(t, w) = (t - |w|^2 / t) / 2 >= 0, and h is concave. Source: Benson and Vanderbei,
-"Solving problems with semidefinite and conic constraints using interior-point methods for nonlinear programming",
-Mathematical Programming, 2003.
+Where t > 0, |w| <= t is the same as h >= 0 with h(t, w) = (t - |w|^2 / t) / 2. This h is concave. Source: Benson and
+Vanderbei, "Solving problems with semidefinite and conic constraints using interior-point methods for nonlinear
+programming", Mathematical Programming, 2003.
 
 A slack in a second-order cone must stay inside the curved boundary: at distance d from it, no step along it is longer
 than sqrt(2 t d). Where a limit holds at many points, each step turns the slack of one of them, and the iterations

@@ -174,11 +174,28 @@ class Trajectory(eqx.Module):
             >>> line.resampled(5).state[:, 0].tolist()
             [0.0, 1.0, 2.0, 3.0, 4.0]
         """
-        if nodes == self.nodes:
-            return self
-        own, new = jnp.linspace(0.0, 1.0, self.nodes), jnp.linspace(0.0, 1.0, nodes)
-        columns = jax.vmap(lambda v: jnp.interp(new, own, v), in_axes=1, out_axes=1)
-        dilation = jnp.interp(new, own, self.dilation)
+        return self if nodes == self.nodes else self._at_scaled(jnp.linspace(0.0, 1.0, nodes), 1.0)
+
+    def remainder(self, first: Scalar | float) -> Trajectory:
+        """The part from a fraction of scaled time on, on as many nodes.
+
+        Controls and dilation are exact at the new nodes; states are linear between the old ones.
+
+        Example:
+            >>> import jaxscp
+            >>> line = jaxscp.Trajectory.from_arrays([0.0, 2.0], [[0.0], [4.0]], [[1.0], [1.0]])
+            >>> rest = line.remainder(0.5)
+            >>> rest.state[:, 0].tolist(), float(rest.time[-1])
+            ([2.0, 4.0], 1.0)
+        """
+        places = first + (1.0 - first) * jnp.linspace(0.0, 1.0, self.nodes)
+        return self._at_scaled(places, 1.0 - first)
+
+    def _at_scaled(self, places: Nodes, width: Scalar | float) -> Trajectory:
+        """Nodes at scaled times that span a width, each value linear between the own nodes; without dynamics."""
+        own = jnp.linspace(0.0, 1.0, self.nodes)
+        columns = jax.vmap(lambda v: jnp.interp(places, own, v), in_axes=1, out_axes=1)
+        dilation = width * jnp.interp(places, own, self.dilation)
         return Trajectory(
             node_times(dilation), columns(self.state), columns(self.control), dilation, self.zero_order_hold
         )

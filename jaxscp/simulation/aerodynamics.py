@@ -7,6 +7,7 @@ from jaxtyping import Array, Float
 from jaxscp.core.arrays import as_floats
 from jaxscp.core.types import Quaternion, Scalar, Vector3
 from jaxscp.dynamics.rotations import rotation_matrix
+from jaxscp.simulation.vehicles import FEET_DEPTH
 
 _NEAREST = 0.5
 """Least height in rotor radii that the formula of ground effect is used at: it has a pole at a quarter."""
@@ -45,7 +46,7 @@ class Aerodynamics(eqx.Module):
     """Height of the rotor plane over the centre of mass, m."""
     rotor_radius: Scalar = eqx.field(converter=as_floats, default=0.038)
     """m."""
-    feet_height: Scalar = eqx.field(converter=as_floats, default=0.05)
+    feet_height: Scalar = eqx.field(converter=as_floats, default=FEET_DEPTH)
     """Depth of the feet's lowest points under the centre of mass, m."""
     suction: Scalar = eqx.field(converter=as_floats, default=2.2)
     """F0: suction of the deck on a vehicle that stands on it, N."""

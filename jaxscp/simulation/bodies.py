@@ -5,13 +5,12 @@ import numpy as np
 
 from jaxscp.dynamics.airframes import Airframe
 from jaxscp.simulation.scene import Scene
+from jaxscp.simulation.vehicles import FEET_DEPTH
 
 TIME_STEP = 0.0025
 """s: two steps a sample of the inertial unit, four a sample of odometry."""
 DECK_HEIGHT = 0.16
 """Height of the deck's surface over the carrier's centre of mass, m."""
-FEET_DEPTH = 0.05
-"""Depth of the feet's lowest points under the vehicle's centre of mass, m."""
 _FOOT = 0.012
 _HALF_DECK = 0.4
 VEHICLE, CARRIER = 1, 2

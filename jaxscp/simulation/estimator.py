@@ -1,7 +1,5 @@
 """An error-state Kalman filter: inertial samples predict, delayed odometry corrects."""
 
-import math
-
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -9,10 +7,10 @@ from jaxtyping import Array, Float
 from jaxscp.core.arrays import as_floats
 from jaxscp.core.types import Scalar, Vector3
 from jaxscp.dynamics.rotations import attitude_error, multiply, normalised, rotation_matrix
+from jaxscp.simulation.sensors import IMU, Odometry
 
 Covariance = Float[Array, "15 15"]
 Nominal = Float[Array, "16"]
-_DEGREE = math.pi / 180.0
 
 
 class Estimate(eqx.Module):
@@ -51,20 +49,10 @@ class ErrorStateFilter(eqx.Module):
         True
     """
 
-    accelerometer_noise: Scalar = eqx.field(converter=as_floats, default=0.05)
-    """Of a sample, m/s^2."""
-    gyroscope_noise: Scalar = eqx.field(converter=as_floats, default=0.005)
-    """Of a sample, rad/s."""
-    accelerometer_bias: Scalar = eqx.field(converter=as_floats, default=0.05)
-    """Before the flight, m/s^2."""
-    gyroscope_bias: Scalar = eqx.field(converter=as_floats, default=0.005)
-    """Before the flight, rad/s."""
-    position_noise: Scalar = eqx.field(converter=as_floats, default=0.01)
-    """Of odometry, m."""
-    velocity_noise: Scalar = eqx.field(converter=as_floats, default=0.01)
-    """Of odometry, m/s."""
-    attitude_noise: Scalar = eqx.field(converter=as_floats, default=0.3 * _DEGREE)
-    """Of odometry, rad."""
+    imu: IMU = eqx.field(default_factory=IMU)
+    """Model of the inertial unit: its noise, and what is known of its biases before the flight."""
+    odometry: Odometry = eqx.field(default_factory=Odometry)
+    """Model of the odometry: its noise."""
     gravity: Vector3 = eqx.field(converter=as_floats, default=(0.0, 0.0, -9.81))
     """m/s^2."""
     delay: int = eqx.field(static=True, default=4)
@@ -73,11 +61,7 @@ class ErrorStateFilter(eqx.Module):
     def init(self, state: Float[Array, "13"]) -> Estimate:
         """An estimate at a known state with unknown biases; the state is as uncertain as one odometry sample."""
         nominal = jnp.concatenate([state[:10], jnp.zeros(6)])
-        deviations = (
-            *self._odometry(),
-            self.accelerometer_bias,
-            self.gyroscope_bias,
-        )
+        deviations = *self._odometry_noise(), self.imu.accelerometer_bias, self.imu.gyroscope_bias
         past = jnp.broadcast_to(nominal, (self.delay, 16))
         return Estimate(nominal, jnp.diag(_blocks(*deviations) ** 2), past, state[10:13])
 
@@ -96,7 +80,7 @@ class ErrorStateFilter(eqx.Module):
         )
         step = self._transition(turn, force, rate, dt)
         zero = jnp.zeros(())
-        noise = _blocks(zero, dt * self.accelerometer_noise, dt * self.gyroscope_noise, zero, zero)
+        noise = _blocks(zero, dt * self.imu.accelerometer_noise, dt * self.imu.gyroscope_noise, zero, zero)
         covariance = step @ estimate.covariance @ step.T + jnp.diag(noise**2)
         past = jnp.concatenate([estimate.past, x[None]])[1:]
         return Estimate(nominal, covariance, past, rate)
@@ -107,7 +91,7 @@ class ErrorStateFilter(eqx.Module):
         innovation = jnp.concatenate(
             [odometry[:6] - old[:6], 2.0 * attitude_error(odometry[6:10], old[6:10])]
         )
-        noise = jnp.diag(_blocks(*self._odometry()) ** 2)
+        noise = jnp.diag(_blocks(*self._odometry_noise()) ** 2)
         covariance = estimate.covariance
         gain = jnp.linalg.solve(covariance[:9, :9] + noise, covariance[:9]).T
         left = jnp.eye(15).at[:, :9].add(-gain)
@@ -119,8 +103,8 @@ class ErrorStateFilter(eqx.Module):
             estimate.rate - error[12:],
         )
 
-    def _odometry(self) -> tuple[Scalar, Scalar, Scalar]:
-        return self.position_noise, self.velocity_noise, self.attitude_noise
+    def _odometry_noise(self) -> tuple[Scalar, Scalar, Scalar]:
+        return self.odometry.position_noise, self.odometry.velocity_noise, self.odometry.attitude_noise
 
     @staticmethod
     def _transition(turn: Float[Array, "3 3"], force: Vector3, rate: Vector3, dt: float) -> Covariance:

@@ -1,6 +1,13 @@
 """The airframe of the simulation."""
 
-from jaxscp.dynamics.airframes import Airframe, multirotor
+import dataclasses
+
+import numpy as np
+
+from jaxscp.dynamics.airframes import Airframe, paper_mav
+
+FEET_DEPTH = 0.05
+"""Depth of the feet's lowest points under the vehicle's centre of mass, m."""
 
 
 def simulated_mav() -> Airframe:
@@ -13,11 +20,4 @@ def simulated_mav() -> Airframe:
         >>> float(simulated_mav().thrust_max.sum())
         25.0
     """
-    return multirotor(
-        mass=0.928,
-        inertia=[2.5e-3, 2.1e-3, 4.3e-3],
-        arm=0.076,
-        torque_ratio=0.016,
-        thrust_min=0.1,
-        thrust_max=6.25,
-    )
+    return dataclasses.replace(paper_mav(), thrust_min=np.full(4, 0.1), thrust_max=np.full(4, 6.25))

@@ -15,7 +15,7 @@ from jaxscp.simulation.aerodynamics import Aerodynamics, Deck
 from jaxscp.simulation.geometric import Geometric
 from jaxscp.simulation.gusts import Dryden, GustState
 from jaxscp.simulation.motors import Motors, MotorState
-from jaxscp.simulation.vehicles import simulated_mav
+from jaxscp.simulation.vehicles import FEET_DEPTH, simulated_mav
 
 State = Float[Array, "13"]
 
@@ -75,7 +75,7 @@ class World(eqx.Module):
         hover = self.carrier.airframe.body.hover_thrust().sum()
         deck = Deck(self.start.at[2].add(bodies.DECK_HEIGHT), jnp.zeros(4).at[0].set(1.0), hover)
         level = jnp.array([1.0, 0.0, 0.0, 0.0])
-        place = deck.position.at[2].add(bodies.FEET_DEPTH + height)
+        place = deck.position.at[2].add(FEET_DEPTH + height)
         qpos = jnp.concatenate([place, level, self.start, level])
         qvel = jnp.concatenate([self.velocity, jnp.zeros(3), self.velocity, jnp.zeros(3)])
         data = mjx.make_data(self.model).replace(qpos=qpos, qvel=qvel)

@@ -23,7 +23,6 @@ from jaxscp.core.types import Flag
 from jaxscp.problem.canonical import canonical
 from jaxscp.problem.errors import InvalidScenario
 from jaxscp.problem.lowering import over_scaled_time
-from jaxscp.problem.problem import OptimalControlProblem
 from jaxscp.problem.scaled_time import ScaledTimeProblem
 from jaxscp.problem.trajectory import Trajectory
 from jaxscp.scp.method import Method, MethodResult, iterate
@@ -93,17 +92,8 @@ class Pipeline(eqx.Module):
 
     def setup(self, scenario: Scenario) -> tuple[ScaledTimeProblem, Any, Any]:
         """Problem over scaled time, first node variables and context: the inputs of the iterations."""
-        own, _ = scenario.in_solver_units(self.method.form)
-        asked, context = own.problem(self.nodes, self.method.form)
-        return *_on_nodes(self, asked, own.guess(asked, context)), context
-
-    def reported(self, scenario: Scenario, context: Any) -> Reported | None:
-        """The problem in the user's units, with the solver's units; None where these are the same."""
-        _, units = scenario.in_solver_units(self.method.form)
-        if units is None:
-            return None
-        asked, _ = scenario.problem(self.nodes, self.method.form, context)
-        return Reported(over_scaled_time(canonical(asked), self.method.form), units)
+        _, problem, z, (_, context) = _inputs(self, scenario)
+        return problem, z, context
 
     def check(self, scenario: Scenario) -> None:
         """Check a scenario: its parts and shapes, and its values where all are known."""
@@ -129,10 +119,30 @@ class Pipeline(eqx.Module):
         return planner_cache.Maker(self, self.trace, load_planner)
 
 
-def _on_nodes(pipeline: Pipeline, asked: OptimalControlProblem, guess: Trajectory):
-    """The problem over scaled time, and the guess as its node variables."""
-    problem = over_scaled_time(canonical(asked), pipeline.method.form, guess)
-    return problem, problem.join(guess.state, guess.control, guess.dilation)
+def _inputs(pipeline: Pipeline, scenario: Scenario, context: Any = None, plan: Trajectory | None = None):
+    """Inputs of the iterations, in the solver's units; and about the solution: the problem asked, and the context.
+
+    Args:
+        pipeline: nodes and method.
+        scenario: in the user's units.
+        context: of an earlier solution, or None.
+        plan: to start from, in the user's units; None for the scenario's own guess.
+    """
+    nodes, form = pipeline.nodes, pipeline.method.form
+    own, units = scenario.in_solver_units(form)
+    stated, context = own.problem(nodes, form, context)
+    if plan is None:
+        guess = own.guess(stated, context)
+    else:
+        guess = scenario.warm_guess(plan)
+        guess = guess if units is None else units.own_trajectory(guess)
+    problem = over_scaled_time(canonical(stated), form, guess)
+    reported = None
+    if units is not None:
+        asked, _ = scenario.problem(nodes, form, context)
+        reported = Reported(over_scaled_time(canonical(asked), form), units)
+    z = problem.join(guess.state, guess.control, guess.dilation)
+    return scenario.valid(), problem, z, (reported, context)
 
 
 def _check_class(scenario: Any) -> None:
@@ -149,19 +159,12 @@ def _class_of(value: Any) -> str:
 
 @functools.partial(jit_with_options, static_argnums=0)
 def _setup(pipeline: Pipeline, scenario: Scenario):
-    problem, z, context = pipeline.setup(scenario)
-    about = pipeline.reported(scenario, context), context
-    return _strongly_typed((scenario.valid(), problem, z, about))
+    return _strongly_typed(_inputs(pipeline, scenario))
 
 
 @functools.partial(jit_with_options, static_argnums=0)
 def _setup_again(pipeline: Pipeline, scenario: Scenario, context: Any, plan: Trajectory):
-    own, units = scenario.in_solver_units(pipeline.method.form)
-    guess = scenario.warm_guess(plan)
-    guess = guess if units is None else units.own_trajectory(guess)
-    asked, context = own.problem(pipeline.nodes, pipeline.method.form, context)
-    about = pipeline.reported(scenario, context), context
-    return _strongly_typed((scenario.valid(), *_on_nodes(pipeline, asked, guess), about))
+    return _strongly_typed(_inputs(pipeline, scenario, context, plan))
 
 
 @functools.partial(jit_with_options, static_argnums=0)

@@ -4,12 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import scipy.sparse
 
 from jaxscp.control.bounded_qp import BoundedQP, solve
+from tests.support.bounded_programs import solution_of_clarabel, solution_of_osqp
 
 NODES, CONTROLS = 10, 4
-TIGHT = 1e-9  # of OSQP, absolute and relative
 SAME_SOLUTION = 1e-6  # OSQP's accuracy at that tolerance, for Hessians of condition number 1e4
 ITERATIONS = 40  # far more than needed: slacks become rounding errors, and nothing may divide by them
 SOLVE = jax.jit(lambda qp, guess, centre: solve(qp, guess, centre, ITERATIONS))
@@ -27,49 +26,6 @@ def random_program(seed, force=300.0, rate=0.8):
         jnp.stack([jnp.full(shape, 0.3), jnp.full(shape, -rate)]),
         jnp.stack([jnp.full(shape, 5.0), jnp.full(shape, rate)]),
     )
-
-
-def row_matrix():
-    """The controls and their changes as a matrix."""
-    change = np.eye(NODES) - np.eye(NODES, k=-1)
-    return np.concatenate([np.eye(NODES * CONTROLS), np.kron(change, np.eye(CONTROLS))])
-
-
-def bounds(qp):
-    """Lower and upper bounds of the rows of the matrix."""
-    before = np.zeros((2, NODES, CONTROLS))
-    before[1, 0] = qp.before
-    return (np.asarray(qp.lower) + before).ravel(), (np.asarray(qp.upper) + before).ravel()
-
-
-def solution_of_osqp(qp):
-    import osqp
-
-    lower, upper = bounds(qp)
-    solver = osqp.OSQP()
-    matrices = scipy.sparse.triu(np.asarray(qp.hessian)).tocsc(), scipy.sparse.csc_matrix(row_matrix())
-    settings = {"eps_abs": TIGHT, "eps_rel": TIGHT, "max_iter": 200_000, "verbose": False, "polishing": True}
-    solver.setup(matrices[0], np.asarray(qp.gradient).ravel(), matrices[1], lower, upper, **settings)
-    found = solver.solve(raise_error=True)
-    assert found.info.status == "solved"
-    return found.x.reshape(NODES, CONTROLS)
-
-
-def solution_of_clarabel(qp):
-    import clarabel
-
-    lower, upper = bounds(qp)
-    rows = row_matrix()
-    matrix = scipy.sparse.csc_matrix(np.concatenate([rows, -rows]))
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = TIGHT
-    cost = scipy.sparse.triu(np.asarray(qp.hessian)).tocsc(), np.asarray(qp.gradient).ravel()
-    right = np.concatenate([upper, -lower])
-    cones = [clarabel.NonnegativeConeT(right.size)]
-    found = clarabel.DefaultSolver(*cost, matrix, right, cones, settings).solve()
-    assert str(found.status) == "Solved"
-    return np.array(found.x).reshape(NODES, CONTROLS)
 
 
 def solved(qp):

@@ -172,6 +172,6 @@ def test_a_missing_library_names_the_extra(tmp_path, monkeypatch):
             raise ImportError(name)
         return real(name, *args, **kwargs)
 
-    monkeypatch.setattr("jaxscp.corridor.reading.import_module", lambda name: blocked(name))
+    monkeypatch.setattr("jaxscp.core.extras.import_module", lambda name: blocked(name))
     with pytest.raises(ImportError, match=r"jaxscp\[clouds\]"):
         read_cloud(path)

@@ -86,6 +86,6 @@ def test_what_is_not_chosen_stays():
 
 @pytest.mark.parametrize("head", [0.0, -1.0])
 def test_an_apex_gives_no_nan(head):
-    """Where t is not positive, nothing is chosen; a NaN would spread to what is."""
+    """Where t is not positive, nothing is chosen; but a NaN there would spread to the chosen values."""
     value = jnp.array([[[head, 0.3, 0.0, 0.1]]])
     assert np.isfinite(ratio_form.in_ratio_form((jnp.zeros((1, 1), bool),), (value,))[0]).all()

@@ -60,6 +60,5 @@ def test_the_filter_is_consistent_and_better_than_its_measurements():
         np.asarray, jax.jit(jax.vmap(flight))(jax.random.split(jax.random.key(0), FLIGHTS))
     )
     low, high = stats.chi2.ppf([0.0005, 0.9995], 15 * FLIGHTS) / FLIGHTS
-    print(nees.mean(), low, high, np.median(position))
     assert low < nees.mean() < DELAY * high
     assert np.median(position) < 0.01

@@ -9,6 +9,7 @@ import pytest
 
 from jaxscp.dynamics.airframes import paper_carrier
 from jaxscp.simulation import Aerodynamics, World, bodies, carrier_state, simulated_mav, vehicle_state
+from jaxscp.simulation.vehicles import FEET_DEPTH
 
 pytestmark = pytest.mark.slow  # a program of MJX to compile
 
@@ -76,7 +77,7 @@ def test_hover_thrust_holds_the_vehicle(run):
 def test_a_drop_settles_on_the_deck(run):
     _, (vehicle, carrier, *_) = run(WORLD, WORLD.init(jax.random.key(0), height=0.1), commands(0.1))
     last = slice(-40, None)
-    height = vehicle[last, 2] - carrier[last, 2] - bodies.DECK_HEIGHT - bodies.FEET_DEPTH
+    height = vehicle[last, 2] - carrier[last, 2] - bodies.DECK_HEIGHT - FEET_DEPTH
     assert np.abs(height).max() < 0.01  # contacts yield by some millimetres
     assert np.abs(vehicle[last, 3:6] - carrier[last, 3:6]).max() < 0.05
     assert np.abs(vehicle[last, 7:9]).max() < 0.02
