@@ -40,7 +40,7 @@ def sweep(
     The same call continues one that was ended at any moment: complete chunks are kept, all others computed.
 
     Args:
-        study: what is run.
+        study: to run.
         address: a folder, or any address of fsspec.
         engine: ``InProcess()``, ``Processes(count)`` or ``Workers(executor)``.
         keep: which trajectories are stored: ``AllTrajectories()``, ``FailedTrajectories()`` or ``EveryNth(n)``.

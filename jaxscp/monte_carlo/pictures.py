@@ -136,11 +136,12 @@ def draw_failures(
     success = dict(zip(sweep.numbers.tolist(), _success(sweep).tolist(), strict=True))
     paths = {n: np.asarray(sweep.store.arrays["trajectory.state"][n]) for n in stored.tolist()}
     drawn = [n for n, path in paths.items() if np.all(np.isfinite(path))]  # an invalid case has none
-    bad, good = ([n for n in drawn if success[n] is flag][:SHOWN] for flag in (False, True))
+    bad, good = ([n for n in drawn if success[n] is flag] for flag in (False, True))
     figure, ax = _figure()
     for numbers, colour, name in ((good, GREY, "successes"), (bad, VERMILLION, "failures")):
-        for i, number in enumerate(numbers):
-            label = f"{len(numbers)} {name}" if i == 0 else None
+        count = f"{len(numbers)}" if len(numbers) <= SHOWN else f"{SHOWN} of {len(numbers)}"
+        for i, number in enumerate(numbers[:SHOWN]):
+            label = f"{count} {name}" if i == 0 else None
             ax.plot(
                 paths[number][:, across],
                 paths[number][:, up],

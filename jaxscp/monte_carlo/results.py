@@ -50,7 +50,7 @@ class Sweep:
 
     @property
     def parameters(self) -> list[str]:
-        """Names of what varies."""
+        """Names of the parameters."""
         return list(self.layout.parameters)
 
     @property

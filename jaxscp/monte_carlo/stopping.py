@@ -22,7 +22,7 @@ from jaxscp.monte_carlo.outcome import SUCCESS
 
 @dataclasses.dataclass(frozen=True)
 class Observed:
-    """What a rule may see.
+    """State of a sweep, as a rule sees it.
 
     Args:
         complete: cases 0 to complete - 1 are all computed.

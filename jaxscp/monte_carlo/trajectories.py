@@ -27,7 +27,7 @@ class NoTrajectories:
 
 @dataclasses.dataclass(frozen=True)
 class AllTrajectories:
-    """Those of every case."""
+    """Trajectories of every case."""
 
     def chosen(self, numbers: Int[np.ndarray, "cases"], success: Bool[np.ndarray, "cases"]) -> np.ndarray:
         """See ``Keep``."""
@@ -36,7 +36,7 @@ class AllTrajectories:
 
 @dataclasses.dataclass(frozen=True)
 class FailedTrajectories:
-    """Those of cases without success; and of every n-th case too, if asked."""
+    """Trajectories of cases without success, and of every n-th case if asked."""
 
     every: int = 0
 

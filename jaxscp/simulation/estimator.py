@@ -50,7 +50,7 @@ class ErrorStateFilter(eqx.Module):
     """
 
     imu: IMU = eqx.field(default_factory=IMU)
-    """Model of the inertial unit: its noise, and what is known of its biases before the flight."""
+    """Model of the inertial unit: its noise, and the scatter of its biases over flights."""
     odometry: Odometry = eqx.field(default_factory=Odometry)
     """Model of the odometry: its noise."""
     gravity: Vector3 = eqx.field(converter=as_floats, default=(0.0, 0.0, -9.81))

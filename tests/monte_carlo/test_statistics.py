@@ -1,4 +1,4 @@
-"""Intervals hold what they promise; stop rules look as they say; sensitivities agree with closed forms."""
+"""Intervals have the coverage that they state; stop rules look as they say; sensitivities agree with closed forms."""
 
 import numpy as np
 import pytest
