@@ -1,10 +1,21 @@
 """Test settings: double precision, strict dtypes, and every annotation of the package checked at run time."""
 
+import atexit
+import os
 import pathlib
+import shutil
+import tempfile
 
-import jax
-import pytest
-from jaxtyping import install_import_hook
+# All processes of a test run compile each program once. JAX reads these variables when it is imported.
+PROGRAMS = "JAX_COMPILATION_CACHE_DIR"
+if PROGRAMS not in os.environ:
+    os.environ[PROGRAMS] = tempfile.mkdtemp(prefix="jaxscp-programs-")
+    atexit.register(shutil.rmtree, os.environ[PROGRAMS], ignore_errors=True)
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
+
+import jax  # noqa: E402
+import pytest  # noqa: E402
+from jaxtyping import install_import_hook  # noqa: E402
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
