@@ -170,7 +170,7 @@ def horizon(count: int, seed: int, echo: Echo) -> dict[str, Any]:
 
 
 def _flight(scenario: jaxscp.LandingScenario, random: np.random.Generator) -> tuple[bool, int, int]:
-    """Whether a flight arrives; re-plans that failed, and plans in all. The plan is followed exactly between them."""
+    """Whether a flight arrives; plans made anew, and plans in all. The plan is followed exactly between them."""
     plan, fallbacks = PLANNER(scenario), 0
     for ticks in range(1, MOST_TICKS + 1):
         if not _converged(plan):
@@ -180,11 +180,8 @@ def _flight(scenario: jaxscp.LandingScenario, random: np.random.Generator) -> tu
         state = np.array(plan.trajectory.at(jnp.array([TICK])).state[0])
         noisy = state[:3] + NOISE * random.normal(size=3) / np.sqrt(3.0)
         scenario = _from(scenario, state, noisy)
-        plan_again = PLANNER.replan(plan, scenario)
-        if not _converged(plan_again):
-            fallbacks += 1
-            plan_again = PLANNER(scenario)
-        plan = plan_again
+        plan = PLANNER.replan(plan, scenario)
+        fallbacks += bool(plan.planned_anew)
     return bool(np.linalg.norm(state[:3] - np.asarray(scenario.goal.position)) < NEAR), fallbacks, MOST_TICKS
 
 

@@ -4,6 +4,7 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 
 from jaxscp.core import batching
 from jaxscp.core.status import Status
@@ -74,6 +75,7 @@ def conclude(
         backends=result.backends,
         z=z,
         context=context,
+        planned_anew=jnp.zeros((), bool),
     )
 
 

@@ -27,6 +27,7 @@ from jaxscp.problem.scaled_time import ScaledTimeProblem
 from jaxscp.problem.trajectory import Trajectory
 from jaxscp.scp.method import Method, MethodResult, iterate
 from jaxscp.solver.conclude import Reported, conclude
+from jaxscp.solver.fall_back import better
 from jaxscp.solver.load import load_planner
 from jaxscp.solver.scenario import Scenario
 from jaxscp.solver.solution import Solution
@@ -55,9 +56,23 @@ class Pipeline(eqx.Module):
             return compiled.run(inputs)
         return _conclude(self, *_solve(self, *_setup(self, inputs)))
 
-    @any_rank
     def again(self, solution: Solution | Trajectory, scenario: Scenario) -> Solution:
-        """The solution of a changed scenario, from the solution of a similar one, or from its trajectory."""
+        """The solution of a changed scenario, from the solution of a similar one, or from its trajectory.
+
+        Where that does not converge, the scenario is planned anew.
+        """
+        found = self._from_plan(solution, scenario)
+        return better(found, functools.partial(self._anew, scenario))
+
+    @any_rank
+    def _anew(self, scenario: Scenario, needed: Flag) -> Solution:
+        """The solution of a scenario that was checked; where it is not needed, no step is taken."""
+        inputs = aot.with_arrays(scenario).solver_inputs()
+        ok, *rest = _setup(self, inputs)
+        return self._finish(inputs, (ok & needed, *rest))
+
+    @any_rank
+    def _from_plan(self, solution: Solution | Trajectory, scenario: Scenario) -> Solution:
         scenario = aot.with_arrays(scenario)
         self.check(scenario)
         inputs = scenario.solver_inputs()
@@ -65,10 +80,9 @@ class Pipeline(eqx.Module):
         plan: Any = solution if known is None else known.trajectory
         self._check_plan(plan)
         plan = plan.with_dynamics(None)  # a plan with dynamics would compile another program
-        begun = _setup_again(self, inputs, None if known is None else known.context, plan)
-        if (compiled := planner_cache.cached(self._maker(), inputs, begun)) is not None:
-            return compiled.run_from(begun)
-        return _conclude(self, *_solve(self, *begun))
+        return self._finish(
+            inputs, _setup_again(self, inputs, None if known is None else known.context, plan)
+        )
 
     @any_rank
     def compile(self, scenario: Scenario, batch_size: int | None = None) -> aot.CompiledPlanner:
@@ -114,6 +128,12 @@ class Pipeline(eqx.Module):
                 f"solution: its trajectory has {plan.state.shape[0]} nodes, but the planner has {self.nodes}. "
                 f"Plan with Planner(nodes={self.nodes}), or take trajectory.resampled({self.nodes})."
             )
+
+    def _finish(self, inputs: Any, begun: Any) -> Solution:
+        """The solution from the inputs of the iterations."""
+        if (compiled := planner_cache.cached(self._maker(), inputs, begun)) is not None:
+            return compiled.run_from(begun)
+        return _conclude(self, *_solve(self, *begun))
 
     def _maker(self) -> planner_cache.Maker:
         return planner_cache.Maker(self, self.trace, load_planner)

@@ -50,6 +50,8 @@ class Solution(eqx.Module):
     """Node variables, in the user's units; of a problem with a scale, relative to it."""
     context: Any
     """Data that the scenario built its problem with; for a landing, the leg of the route of every interval."""
+    planned_anew: Flag
+    """Whether a re-plan found nothing from the earlier plan, so that this one began at the scenario's own guess."""
 
     def save(self, file: str | os.PathLike, scenario: Any = None) -> None:
         """Write all of the solution to an .npz, and its scenario, for ``Solution.load``. No code is stored.
@@ -149,6 +151,11 @@ class Solution(eqx.Module):
                 f"{names}: cost {float(self.cost):.6g}, final time {float(self.final_time):.6g}",
                 Status[self.status],
                 *([cause] if (cause := self.cause()) else []),
+                *(
+                    ["planned anew: no plan was found from the earlier one"]
+                    if bool(self.planned_anew)
+                    else []
+                ),
                 f"{int(self.iterations)} iterations, {int(self.interior_point_iterations)} steps of the interior point",
                 self.backends.report(),
                 self.certificate.report(),

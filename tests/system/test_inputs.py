@@ -49,7 +49,7 @@ def test_a_subproblem_that_is_not_solved_is_no_iteration_limit():
     assert status(below) == "converged"
 
 
-@pytest.mark.nightly
+@pytest.mark.slow
 def test_a_replan_through_another_corridor_has_its_polytopes():
     scenario = jaxscp.scenarios.platform_to_platform()
     plan = PLANNER.replan(PLANNER(room()), scenario)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import jaxscp
-from tests.support.rooms import room
+from tests.support.rooms import put, room
 
 SAME_COST = 5e-3  # relative; another start may lead to another local optimum of nearly the same cost
 PLANNER = jaxscp.Planner()
@@ -76,6 +76,55 @@ def test_random_ends_replan(case):
             tried += 1
             assert jaxscp.status_names(PLANNER.replan(plan, scenario).status) == "converged"
     assert tried >= 15
+
+
+def through_another_corridor(mass):
+    """A scenario that the plan of the room does not lead to a solution of."""
+    return eqx.tree_at(lambda s: s.airframe.body.mass, jaxscp.scenarios.platform_to_platform(), mass)
+
+
+@pytest.mark.slow
+def test_where_the_earlier_plan_does_not_help_it_plans_anew(plan):
+    scenario = jaxscp.scenarios.platform_to_platform()
+    fresh, again = PLANNER(scenario), PLANNER.replan(plan, scenario)
+    assert not bool(fresh.planned_anew)
+    assert bool(again.planned_anew)
+    assert "planned anew" in again.report()
+    expected = eqx.tree_at(lambda s: s.planned_anew, fresh, again.planned_anew)
+    for one, other in zip(jax.tree.leaves(again), jax.tree.leaves(expected), strict=True):
+        np.testing.assert_array_equal(one, other)
+    once_more = PLANNER.replan(again, scenario)
+    assert jaxscp.status_names(once_more.status) == "converged"
+    assert not bool(once_more.planned_anew)
+
+
+@pytest.mark.slow
+def test_an_infeasible_replan_is_the_earlier_plans():
+    """Neither start leads to a solution, so the status is that of the re-plan."""
+    impossible = put(room(), lambda s: s.dilation_max, 0.6)  # s, for 6 m
+    again = PLANNER.replan(PLANNER(room()), impossible)
+    assert jaxscp.status_names(again.status) != "converged"
+    assert not bool(again.planned_anew)
+
+
+@pytest.mark.nightly
+def test_elements_of_a_batch_plan_anew_by_themselves_and_have_derivatives(plan):
+    """The same as one by one, in value and derivative, though the batch steps both ways."""
+    masses = jnp.array([1.0, 1.1])
+    plans = [plan, PLANNER(through_another_corridor(1.0))]
+    both = jax.tree.map(lambda *v: jnp.stack(v), *plans)
+
+    def cost(plan, mass):
+        found = PLANNER.replan(plan, through_another_corridor(mass))
+        return found.cost, found.planned_anew
+
+    (costs, anew), slopes = jax.vmap(jax.value_and_grad(cost, 1, has_aux=True))(both, masses)
+    fresh, fresh_slopes = jax.vmap(
+        jax.value_and_grad(lambda mass: PLANNER(through_another_corridor(mass)).cost)
+    )(masses)
+    assert anew.tolist() == [True, False]
+    np.testing.assert_allclose(costs, fresh, rtol=1e-8)  # the optimum is found to rounding
+    np.testing.assert_allclose(slopes, fresh_slopes, rtol=1e-6)
 
 
 @pytest.mark.nightly
