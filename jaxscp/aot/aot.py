@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
+import numpy as np
 from jax.core import Tracer
 
 from jaxscp.aot.pytree_spec import Spec, difference, spec_of
@@ -130,7 +131,11 @@ def with_arrays(scenario: Checked) -> Any:
 
 
 def trace(
-    parts: Sequence[Callable[..., Any]], scenario: Checked, nodes: int, batch_size: int | None
+    parts: Sequence[Callable[..., Any]],
+    scenario: Checked,
+    nodes: int,
+    batch_size: int | None,
+    devices: Sequence[Any] = (),
 ) -> TracedPlanner:
     """Trace the programs of a planner.
 
@@ -140,6 +145,7 @@ def trace(
         scenario: one; only its shapes and dtypes matter.
         nodes: N of the planner.
         batch_size: scenarios at once; None for one without a leading axis.
+        devices: that share a batch; JAX's default one if empty.
     """
     shape_of = lambda axis: lambda v: jax.ShapeDtypeStruct(axis + v.shape, v.dtype)  # noqa: E731
     one = jax.tree.map(lambda v: shape_of(())(v) if hasattr(v, "dtype") else v, scenario)
@@ -149,7 +155,7 @@ def trace(
     shapes: Any = (jax.tree.map(shape_of(axis), inputs),)
     programs = []
     for part in parts:
-        program, shapes = _program(part if batch_size is None else jax.vmap(part), shapes)
+        program, shapes = _program(part if batch_size is None else batched(part, devices), shapes)
         programs.append(program)
     return TracedPlanner(nodes, batch_size, spec_of(inputs), shapes, *programs)
 
@@ -163,6 +169,16 @@ def with_programs(traced: TracedPlanner, programs: dict[str, Callable[..., Leave
     """The planner with these compiled programs."""
     tree = jax.tree.structure(traced.solution)
     return CompiledPlanner(traced.nodes, traced.batch_size, traced.scenario, tree, **programs)
+
+
+def batched(function: Callable[..., Any], devices: Sequence[Any] = ()) -> Callable[..., Any]:
+    """``jax.vmap`` of a function; with devices, each takes its share of the leading axis."""
+    if not devices:
+        return jax.vmap(function)
+    mesh = jax.sharding.Mesh(np.asarray(devices), ("batch",))
+    share = jax.sharding.PartitionSpec("batch")
+    # loops end at other times on each device, and no device needs another's data
+    return jax.shard_map(jax.vmap(function), mesh=mesh, in_specs=share, out_specs=share, check_vma=False)
 
 
 def _program(function: Callable[..., Any], shapes: tuple) -> tuple[Program, Any]:
