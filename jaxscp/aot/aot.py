@@ -155,7 +155,7 @@ def trace(
     shapes: Any = (jax.tree.map(shape_of(axis), inputs),)
     programs = []
     for part in parts:
-        program, shapes = _program(part if batch_size is None else batched(part, devices), shapes)
+        program, shapes = _program(part if batch_size is None else batched(part, devices), shapes, devices)
         programs.append(program)
     return TracedPlanner(nodes, batch_size, spec_of(inputs), shapes, *programs)
 
@@ -175,13 +175,20 @@ def batched(function: Callable[..., Any], devices: Sequence[Any] = ()) -> Callab
     """``jax.vmap`` of a function; with devices, each takes its share of the leading axis."""
     if not devices:
         return jax.vmap(function)
-    mesh = jax.sharding.Mesh(np.asarray(devices), ("batch",))
-    share = jax.sharding.PartitionSpec("batch")
+    share = _share_of(devices)
     # loops end at other times on each device, and no device needs another's data
-    return jax.shard_map(jax.vmap(function), mesh=mesh, in_specs=share, out_specs=share, check_vma=False)
+    return jax.shard_map(
+        jax.vmap(function), mesh=share.mesh, in_specs=share.spec, out_specs=share.spec, check_vma=False
+    )
 
 
-def _program(function: Callable[..., Any], shapes: tuple) -> tuple[Program, Any]:
+def _share_of(devices: Sequence[Any]) -> jax.sharding.NamedSharding:
+    """Arrays whose leading axis is divided among devices."""
+    mesh = jax.sharding.Mesh(np.asarray(devices), ("batch",))
+    return jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec("batch"))
+
+
+def _program(function: Callable[..., Any], shapes: tuple, devices: Sequence[Any]) -> tuple[Program, Any]:
     """A function as a program of leaves, and the shapes of its outputs. It is traced here, and only once."""
     leaves, tree = jax.tree.flatten(shapes)
     returned = []
@@ -191,9 +198,11 @@ def _program(function: Callable[..., Any], shapes: tuple) -> tuple[Program, Any]
         returned.append(structure)
         return outputs
 
-    jitted = jax.jit(on_leaves)
+    shardings = dict.fromkeys(("in_shardings", "out_shardings"), _share_of(devices)) if devices else {}
+    jitted = jax.jit(on_leaves, **shardings)
     traced = jitted.trace(*leaves)
-    return Program(jitted, leaves), jax.tree.unflatten(returned[0], traced.out_info)
+    shape_of = lambda v: jax.ShapeDtypeStruct(v.shape, v.dtype)  # noqa: E731
+    return Program(jitted, leaves), jax.tree.unflatten(returned[0], jax.tree.map(shape_of, traced.out_info))
 
 
 def one_element(scenarios: Any, size: int) -> Any:
