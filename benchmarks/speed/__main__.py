@@ -3,8 +3,8 @@
     python -m benchmarks.speed [--json] [--check] [--only PART ...] [--gpu] [--nodes 30] [--repeats 7]
                                [--batch 4096] [--total 65536]
 
-Parts: ``profile``, ``rivals`` (extra ``benchmarks``), ``scaling``, ``starts``, ``levels``, ``alone``, ``batches``. The
-default is all but the last two; ``--gpu`` runs these two. ``--check`` compares the ratios with
+Parts: ``profile``, ``rivals`` (extra ``benchmarks``), ``scaling``, ``starts``, ``levels``, ``many``, ``alone``,
+``batches``. The default is all but the last two; ``--gpu`` runs the last three. ``--check`` compares the ratios with
 benchmarks/baseline.json. The exit code is 1 if a ratio is worse by more than a factor of 1.5.
 """
 
@@ -19,8 +19,8 @@ import jax
 
 jax.config.update("jax_enable_x64", True)
 
-PARTS = ("profile", "rivals", "scaling", "starts", "levels")
-FOR_ACCELERATORS = ("alone", "batches")
+PARTS = ("profile", "rivals", "scaling", "starts", "levels", "many")
+FOR_ACCELERATORS = ("alone", "batches", "many")
 
 
 def measure(part: str, options: argparse.Namespace, echo: Callable[[str], None]) -> dict[str, Any]:
@@ -46,6 +46,10 @@ def measure(part: str, options: argparse.Namespace, echo: Callable[[str], None])
             from benchmarks.speed import levels
 
             return levels.run(echo, options.nodes, options.repeats)
+        case "many":
+            from benchmarks.speed import many
+
+            return many.run(echo, options.nodes, options.batch, options.total)
         case "alone":
             from benchmarks.speed import alone
 
@@ -61,8 +65,10 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--json", action="store_true", help="print one JSON object, the tables on stderr")
     parser.add_argument("--check", action="store_true", help="compare ratios with benchmarks/baseline.json")
-    parser.add_argument("--only", nargs="+", choices=(*PARTS, *FOR_ACCELERATORS), help="these parts alone")
-    parser.add_argument("--gpu", action="store_true", help="the parts for accelerators: alone and batches")
+    parser.add_argument(
+        "--only", nargs="+", choices=(*PARTS, *FOR_ACCELERATORS[:-1]), help="these parts alone"
+    )
+    parser.add_argument("--gpu", action="store_true", help="the parts for accelerators")
     parser.add_argument("--nodes", type=int, default=30)
     parser.add_argument("--repeats", type=int, default=7, help="of a plan that is compared with a rival's")
     parser.add_argument("--batch", type=int, default=4096, help="plans at once")

@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
+import numpy as np
 from jax.core import Tracer
 
 from jaxscp.aot.pytree_spec import Spec, difference, spec_of
@@ -130,7 +131,11 @@ def with_arrays(scenario: Checked) -> Any:
 
 
 def trace(
-    parts: Sequence[Callable[..., Any]], scenario: Checked, nodes: int, batch_size: int | None
+    parts: Sequence[Callable[..., Any]],
+    scenario: Checked,
+    nodes: int,
+    batch_size: int | None,
+    devices: Sequence[Any] = (),
 ) -> TracedPlanner:
     """Trace the programs of a planner.
 
@@ -140,6 +145,7 @@ def trace(
         scenario: one; only its shapes and dtypes matter.
         nodes: N of the planner.
         batch_size: scenarios at once; None for one without a leading axis.
+        devices: that share a batch; JAX's default one if empty.
     """
     shape_of = lambda axis: lambda v: jax.ShapeDtypeStruct(axis + v.shape, v.dtype)  # noqa: E731
     one = jax.tree.map(lambda v: shape_of(())(v) if hasattr(v, "dtype") else v, scenario)
@@ -149,7 +155,7 @@ def trace(
     shapes: Any = (jax.tree.map(shape_of(axis), inputs),)
     programs = []
     for part in parts:
-        program, shapes = _program(part if batch_size is None else jax.vmap(part), shapes)
+        program, shapes = _program(part if batch_size is None else batched(part, devices), shapes, devices)
         programs.append(program)
     return TracedPlanner(nodes, batch_size, spec_of(inputs), shapes, *programs)
 
@@ -165,7 +171,24 @@ def with_programs(traced: TracedPlanner, programs: dict[str, Callable[..., Leave
     return CompiledPlanner(traced.nodes, traced.batch_size, traced.scenario, tree, **programs)
 
 
-def _program(function: Callable[..., Any], shapes: tuple) -> tuple[Program, Any]:
+def batched(function: Callable[..., Any], devices: Sequence[Any] = ()) -> Callable[..., Any]:
+    """``jax.vmap`` of a function; with devices, each takes its share of the leading axis."""
+    if not devices:
+        return jax.vmap(function)
+    share = _share_of(devices)
+    # loops end at other times on each device, and no device needs another's data
+    return jax.shard_map(
+        jax.vmap(function), mesh=share.mesh, in_specs=share.spec, out_specs=share.spec, check_vma=False
+    )
+
+
+def _share_of(devices: Sequence[Any]) -> jax.sharding.NamedSharding:
+    """Arrays whose leading axis is divided among devices."""
+    mesh = jax.sharding.Mesh(np.asarray(devices), ("batch",))
+    return jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec("batch"))
+
+
+def _program(function: Callable[..., Any], shapes: tuple, devices: Sequence[Any]) -> tuple[Program, Any]:
     """A function as a program of leaves, and the shapes of its outputs. It is traced here, and only once."""
     leaves, tree = jax.tree.flatten(shapes)
     returned = []
@@ -175,9 +198,11 @@ def _program(function: Callable[..., Any], shapes: tuple) -> tuple[Program, Any]
         returned.append(structure)
         return outputs
 
-    jitted = jax.jit(on_leaves)
+    shardings = dict.fromkeys(("in_shardings", "out_shardings"), _share_of(devices)) if devices else {}
+    jitted = jax.jit(on_leaves, **shardings)
     traced = jitted.trace(*leaves)
-    return Program(jitted, leaves), jax.tree.unflatten(returned[0], traced.out_info)
+    shape_of = lambda v: jax.ShapeDtypeStruct(v.shape, v.dtype)  # noqa: E731
+    return Program(jitted, leaves), jax.tree.unflatten(returned[0], jax.tree.map(shape_of, traced.out_info))
 
 
 def one_element(scenarios: Any, size: int) -> Any:

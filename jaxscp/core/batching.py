@@ -4,6 +4,9 @@
 subproblems and a few need sixty, so that nine tenths of the work is wasted. Here a batch is stepped in rounds: the
 unfinished elements are gathered, stepped a chunk at a time, and scattered back. The result of an element is the same.
 Finished elements fill up the last chunk of a round; a step that notices this can save their work.
+
+On a CPU each element runs alone, from its first step to its last: a batch there saves no arithmetic, and the program of
+one element is smaller.
 """
 
 from collections.abc import Callable
@@ -22,8 +25,9 @@ State = TypeVar("State")
 Chunks = tuple[int, ...]
 
 # Elements stepped at once. A small chunk wastes little work on finished elements; it must still be large enough to
-# use the whole device.
-CHUNK: dict[str, Chunks] = {"cpu": (8,)}
+# use the whole device. ``ALONE``: no chunks, an element after the other.
+ALONE: Chunks = (1,)
+CHUNK: dict[str, Chunks] = {"cpu": ALONE}
 CHUNK_ELSEWHERE: Chunks = (2048,)
 FEW = 2  # small chunks that take no longer than a large one with as many unfinished elements
 
@@ -102,7 +106,7 @@ def in_chunks(act: Callable[[Any], State], fixed: Any, elsewhere: Chunks = CHUNK
         [5.0, 5.0, 5.0]
     """
     arrays, rest = eqx.partition(fixed, eqx.is_array)
-    on_arrays = lambda arrays: act(eqx.combine(arrays, rest))  # noqa: E731
+    on_arrays = jax.jit(lambda arrays: act(eqx.combine(arrays, rest)))  # traced once for all uses below
 
     @custom_vmap
     def one(arrays):
@@ -120,6 +124,18 @@ def in_chunks(act: Callable[[Any], State], fixed: Any, elsewhere: Chunks = CHUNK
         return _all_batched(jax.vmap(chunked, in_axes=(axes,), axis_size=size)(arrays))
 
     return one(arrays)
+
+
+def alone_on_a_cpu(act: Callable[[Any], State], fixed: Any) -> State:
+    """``act(fixed)``; under ``vmap`` on a CPU, an element after the other; elsewhere the batch that ``vmap`` makes.
+
+    The result has no derivative: apply ``jax.lax.stop_gradient`` to ``fixed`` first.
+
+    Args:
+        act: function of one element; its loops are those of this file.
+        fixed: any pytree.
+    """
+    return in_chunks(act, fixed) if CHUNK.get(jax.default_backend()) == ALONE else act(fixed)
 
 
 class _BatchLoop(eqx.Module):
@@ -187,20 +203,38 @@ def _all_batched(end):
     return end, jax.tree.map(lambda _: True, end)
 
 
+def _entries(v, index, repeats: int):
+    """What batch elements use of a constant array; see ``shared`` above."""
+    return v[(index // repeats) % v.shape[0]] if repeats else v
+
+
+def _one_by_one(loop_of: _BatchLoop, shared, arrays, states):
+    """Each element's own loop, one after the other."""
+
+    def one(element):
+        index, state = element
+        fixed = jax.tree.map(lambda v, k: _entries(v, index, k), arrays, shared)
+        return jax.lax.while_loop(loop_of.unfinished, lambda s: loop_of.step(fixed, s), state)
+
+    return jax.lax.map(one, (jnp.arange(loop_of.size), states))
+
+
 def _in_rounds(loop_of: _BatchLoop, shared, arrays, states):
     """Step the unfinished elements, chunk by chunk, until there are none."""
     size, unfinished = loop_of.size, loop_of.unfinished
+    chunks_here = CHUNK.get(jax.default_backend(), loop_of.elsewhere)
     if size == 0:
         return states
-    chunk, *few = (min(size, count) for count in CHUNK.get(jax.default_backend(), loop_of.elsewhere))
+    if chunks_here == ALONE:
+        return _one_by_one(loop_of, shared, arrays, states)
+    chunk, *few = (min(size, count) for count in chunks_here)
     small = few[0] if few else chunk
     axes = jax.tree.map(lambda k: 0 if k else None, shared)
 
     def one_chunk(order, end, first, length, states):
         index = jax.lax.dynamic_slice(order, (first,), (length,))
-        entries = lambda v, k: v[(index // k) % v.shape[0]] if k else v  # noqa: E731
-        fixed = jax.tree.map(entries, arrays, shared)
-        new = jax.vmap(loop_of.step, in_axes=(axes, 0))(fixed, jax.tree.map(lambda v: entries(v, 1), states))
+        fixed = jax.tree.map(lambda v, k: _entries(v, index, k), arrays, shared)
+        new = jax.vmap(loop_of.step, in_axes=(axes, 0))(fixed, jax.tree.map(lambda v: v[index], states))
         continues = first + jnp.arange(length) < end
         to = jnp.where(continues, index, size)  # out of bounds: never written
         return jax.tree.map(lambda v, part: v.at[to].set(part, mode="drop"), states, new)

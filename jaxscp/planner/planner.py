@@ -1,6 +1,8 @@
 """A planner: a solver for scenarios, which state their problem and guess its solution."""
 
 import os
+from collections.abc import Callable, Iterable
+from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -10,6 +12,7 @@ from jaxscp.problem.errors import InvalidScenario
 from jaxscp.problem.trajectory import Trajectory
 from jaxscp.scp.method import Method
 from jaxscp.scp.newton import NewtonSCP
+from jaxscp.solver.many import Many, solve_many
 from jaxscp.solver.pipeline import Pipeline
 from jaxscp.solver.scenario import Scenario
 from jaxscp.solver.solution import Solution
@@ -60,6 +63,49 @@ class Planner(eqx.Module):
             InvalidScenario: as in a call; or if the trajectory has another number of nodes, states or controls.
         """
         return self.pipeline.again(solution, scenario)
+
+    def map(
+        self,
+        scenarios: Scenario | Iterable[Scenario],
+        batch_size: int | None = None,
+        *,
+        workers: int | None = None,
+        devices: tuple[Any, ...] = (),
+        keep: Callable[[Any], Any] | None = None,
+        progress: Callable[[int, int | None], Any] | None = None,
+    ) -> Any:
+        """Plan any number of scenarios by one compiled program.
+
+        On a CPU, threads plan scenarios one by one, on all usable cores, by the program that a call uses. On other
+        devices, batches of one size are planned; the last one is padded. Memory does not grow with the number of
+        scenarios, but for what ``keep`` returns. Ctrl-C ends the call at once.
+
+        Args:
+            scenarios: one pytree with a leading axis on every array, or an iterable of scenarios of one shape, drawn
+                as they are needed.
+            batch_size: scenarios of the program; by default 1 on a CPU and 1024 elsewhere.
+            workers: threads; by default the number of usable cores, and 2 for batches. Results do not depend on it.
+            devices: that share each batch, by ``jax.shard_map``; by default JAX's default device alone.
+            keep: from solutions with a leading axis, as NumPy arrays, to a pytree of arrays with that axis: to hold
+                less in memory.
+            progress: called with the number of scenarios planned and the number of all, None if unknown.
+
+        Returns:
+            Solutions with a leading axis, as NumPy arrays; or what ``keep`` makes of them. An invalid scenario has the
+            status ``invalid_input``, and NaN in every float.
+
+        Raises:
+            InvalidScenario: if shapes contradict each other; the message names the field.
+            ValueError: if a number is wrong.
+
+        Example:
+            >>> import jaxscp
+            >>> scenario = jaxscp.scenarios.ascent_to_platform()
+            >>> planner = jaxscp.Planner(nodes=10, method=jaxscp.PTR(max_iterations=1))
+            >>> planner.map([scenario, scenario], keep=lambda solutions: solutions.cost).shape
+            (2,)
+        """
+        return solve_many(self.pipeline, scenarios, Many(batch_size, workers, devices), keep, progress)
 
     def compile(self, scenario: Scenario, batch_size: int | None = None) -> aot.CompiledPlanner:
         """Compile now for scenarios like this one; the compiled planner traces and compiles nothing more.

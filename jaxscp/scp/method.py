@@ -7,6 +7,7 @@ import jax
 from jaxtyping import Array, Float
 
 from jaxscp.backends.serving import Backends
+from jaxscp.core import batching
 from jaxscp.core.status import StatusCode
 from jaxscp.core.types import Count, Flag, Scalar
 from jaxscp.problem.form import Form
@@ -80,5 +81,5 @@ def iterate(
     enabled: Flag | bool = True,
 ) -> MethodResult:
     """Result of a method from the guess z; derivatives bypass the iterations."""
-    frozen, z = jax.lax.stop_gradient((problem, z))
-    return method.result(problem, method.run(frozen, z, enabled))
+    frozen = jax.lax.stop_gradient((problem, z, enabled))
+    return method.result(problem, batching.alone_on_a_cpu(lambda fixed: method.run(*fixed), frozen))

@@ -8,6 +8,7 @@ inputs of the next.
 import functools
 import os
 import pathlib
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -97,12 +98,29 @@ class Pipeline(eqx.Module):
         export.write(file, traced, export.programs_of(traced))
 
     @any_rank
-    def trace(self, scenario: Scenario, batch_size: int | None = None) -> aot.TracedPlanner:
-        """The programs for scenarios like this one, traced."""
+    def trace(
+        self, scenario: Scenario, batch_size: int | None = None, devices: tuple[Any, ...] = ()
+    ) -> aot.TracedPlanner:
+        """The programs for scenarios like this one, traced; each device takes its share of a batch."""
         _check_class(scenario)
         # Not as parts of another program: XLA then compiles them exactly as it does for a plain call.
         parts = [functools.partial(part.function, self) for part in (_setup, _solve, _conclude)]
-        return aot.trace(parts, aot.with_arrays(scenario), self.nodes, batch_size)
+        return aot.trace(parts, aot.with_arrays(scenario), self.nodes, batch_size, devices)
+
+    def program(
+        self, like: Any, batch_size: int | None = None, devices: tuple[Any, ...] = ()
+    ) -> Callable[[Any], Solution]:
+        """The function of inputs like these, compiled once for all calls of a thread.
+
+        Args:
+            like: inputs of one scenario.
+            batch_size: of the inputs' leading axis; None for none.
+            devices: that share a batch; the default one if empty.
+        """
+        if (compiled := planner_cache.cached(self._maker(batch_size, devices), like)) is not None:
+            return compiled.run
+        one = lambda inputs: _conclude(self, *_solve(self, *_setup(self, inputs)))  # noqa: E731
+        return any_rank(one if batch_size is None else aot.batched(one, devices))
 
     def setup(self, scenario: Scenario) -> tuple[ScaledTimeProblem, Any, Any]:
         """Problem over scaled time, first node variables and context: the inputs of the iterations."""
@@ -135,8 +153,11 @@ class Pipeline(eqx.Module):
             return compiled.run_from(begun)
         return _conclude(self, *_solve(self, *begun))
 
-    def _maker(self) -> planner_cache.Maker:
-        return planner_cache.Maker(self, self.trace, load_planner)
+    def _maker(self, batch_size: int | None = None, devices: tuple[Any, ...] = ()) -> planner_cache.Maker:
+        if batch_size is None:
+            return planner_cache.Maker(self, self.trace, load_planner)
+        trace = functools.partial(self.trace, batch_size=batch_size, devices=devices)
+        return planner_cache.Maker((self, batch_size, devices), trace, load_planner)
 
 
 def _inputs(pipeline: Pipeline, scenario: Scenario, context: Any = None, plan: Trajectory | None = None):

@@ -12,11 +12,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxscp.core import batching
-from jaxscp.core.batching import CHUNK
 
 ROUNDING = 1e-14  # relative: a batch may fuse a product and a sum, and one element alone may not
-FULL = CHUNK["cpu"][0]
+FULL = 8  # batch elements of a chunk
 LARGEST = 3 * FULL + 5  # batch elements: several chunks, and one that is not full
+
+
+@pytest.fixture(params=[batching.ALONE, (FULL,)], ids=["alone", "in_chunks"])
+def chunks(request, monkeypatch):
+    """Batch elements one after the other, as on a CPU, and in chunks, as elsewhere."""
+    monkeypatch.setitem(batching.CHUNK, "cpu", request.param)
+
+
+@pytest.fixture
+def in_chunks(monkeypatch):
+    """Chunks, as on devices other than CPUs."""
+    monkeypatch.setitem(batching.CHUNK, "cpu", (FULL,))
 
 
 def grow(factor, shift, times, start):
@@ -65,6 +76,7 @@ def test_the_few_that_are_left_are_stepped_by_smaller_chunks(monkeypatch, sizes)
             np.testing.assert_allclose(v[i], by_hand(factor[i], 0.1, times[i], start[i]), rtol=ROUNDING)
 
 
+@pytest.mark.usefixtures("chunks")
 def test_a_batch_of_batches_is_one_larger_batch():
     times, factor = jnp.arange(7), jnp.linspace(0.8, 1.2, 5)
     both = jax.vmap(jax.vmap(grow, in_axes=(None, None, 0, None)), in_axes=(0, None, None, 0))
@@ -74,6 +86,7 @@ def test_a_batch_of_batches_is_one_larger_batch():
         np.testing.assert_allclose(v[i, j], by_hand(factor[i], 0.5, times[j], start[i]), rtol=ROUNDING)
 
 
+@pytest.mark.usefixtures("chunks")
 def test_an_element_that_has_ended_is_not_stepped_again():
     def step(_, state):
         return state[0] - 1, jnp.where(state[0] > 0, state[1], jnp.nan)  # a superfluous step gives NaN
@@ -82,6 +95,7 @@ def test_an_element_that_has_ended_is_not_stepped_again():
     np.testing.assert_array_equal(run(jnp.array([0, 1, 17, 3]))[1], 1.0)
 
 
+@pytest.mark.usefixtures("in_chunks")
 def test_a_chunk_is_filled_up_with_elements_that_have_ended():
     stepped = []
 
@@ -95,7 +109,21 @@ def test_a_chunk_is_filled_up_with_elements_that_have_ended():
     assert sorted(stepped) == [0] * 2 * (FULL - 3) + [1] * FULL + [2] * 3 + [3] * 3
 
 
+def test_on_a_cpu_an_element_takes_its_own_steps_alone():
+    stepped = []
+
+    def step(_, left):
+        jax.debug.callback(lambda left: stepped.append(int(left)), left, ordered=True)
+        return left - 1
+
+    run = jax.vmap(lambda times: batching.while_loop(lambda left: left > 0, step, None, times))
+    jax.block_until_ready(run(jnp.array([2, 0, 3])))
+    jax.effects_barrier()
+    assert stepped == [2, 1, 3, 2, 1]
+
+
 @pytest.mark.parametrize("batched", [False, True])
+@pytest.mark.usefixtures("chunks")
 def test_what_is_not_needed_is_left_as_it_is(batched):
     act = lambda fixed, v: v + fixed  # noqa: E731
     one = lambda needed, v: batching.where_needed(needed, act, jnp.ones(()), v)  # noqa: E731
@@ -108,6 +136,7 @@ def test_what_is_not_needed_is_left_as_it_is(batched):
         )
 
 
+@pytest.mark.usefixtures("chunks")
 def test_gradients_go_round_it():
     def end(x):
         frozen = jax.lax.stop_gradient(x)
@@ -116,6 +145,7 @@ def test_gradients_go_round_it():
     np.testing.assert_allclose(jax.vmap(jax.grad(end))(jnp.array([2.0, 5.0])), [2.0, 5.0])
 
 
+@pytest.mark.usefixtures("chunks")
 def test_batches_share_what_is_not_their_own():
     """Three batch axes: one array for each axis, and one array over two axes."""
 
@@ -165,6 +195,7 @@ def test_each_device_steps_its_own_elements():
 
 
 @pytest.mark.parametrize("shape", [(3,), (20,), (2, 9)], ids=str)
+@pytest.mark.usefixtures("chunks")
 def test_chunks_have_the_results_of_the_whole_batch(shape):
     """Also with an argument that the batch elements share, in two nested batches, and without a batch."""
     own = jax.random.normal(jax.random.key(0), (*shape, 4))
@@ -180,6 +211,7 @@ def test_chunks_have_the_results_of_the_whole_batch(shape):
     )
 
 
+@pytest.mark.usefixtures("chunks")
 def test_a_batch_of_no_elements():
     """Alone, in chunks, and inside another batch."""
 

@@ -1,0 +1,62 @@
+"""A function of many items, on several threads."""
+
+import collections
+import concurrent.futures
+import os
+from collections.abc import Callable, Generator, Iterable
+from typing import Any, TypeVar
+
+import jax
+
+from jaxscp.core.arrays import double_precision
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+IN_FLIGHT = (
+    8  # items a thread that are begun or finished but not yet taken: a slow item does not stop the others
+)
+
+
+def usable_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
+
+
+def in_order(
+    function: Callable[[Item], Result], items: Iterable[Item], workers: int, in_flight: int | None = None
+) -> Generator[Result, None, None]:
+    """Results in the order of the items, which are drawn as they are needed.
+
+    An exception, Ctrl-C among them, ends it at once: items that have not begun are dropped, and the threads end after
+    their present item. Threads help where the function leaves Python, as calls of compiled programs do.
+
+    Args:
+        function: of one item. It runs with this thread's precision and default device.
+        items: any number.
+        workers: threads.
+        in_flight: items that are begun, or finished and not yet taken; some a worker by default.
+
+    Example:
+        >>> from jaxscp.core.threads import in_order
+        >>> list(in_order(lambda v: v * v, range(5), workers=2))
+        [0, 1, 4, 9, 16]
+    """
+    double, device = double_precision(), jax.config.jax_default_device  # pyright: ignore[reportAttributeAccessIssue]
+
+    def act(item: Item) -> Result:
+        with jax.enable_x64(double), jax.default_device(device):  # settings of a thread
+            return function(item)
+
+    pool = concurrent.futures.ThreadPoolExecutor(workers, "jaxscp")
+    pending: collections.deque[Any] = collections.deque()
+    most = in_flight or IN_FLIGHT * workers
+    try:
+        for item in items:
+            pending.append(pool.submit(act, item))
+            if len(pending) >= most:
+                yield pending.popleft().result()
+        while pending:
+            yield pending.popleft().result()
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)

@@ -1,0 +1,181 @@
+"""Any number of scenarios by one compiled program: on the threads of a CPU, or batch by batch on other devices."""
+
+import itertools
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from jaxscp.aot.aot import one_element, with_arrays
+from jaxscp.aot.pytree_spec import difference, spec_of
+from jaxscp.core.threads import in_order, usable_cores
+from jaxscp.problem.errors import InvalidScenario
+from jaxscp.solver.pipeline import Pipeline
+from jaxscp.solver.scenario import Scenario
+
+BATCH_ELSEWHERE = 1024  # scenarios of a program on devices other than CPUs
+THREADS_ELSEWHERE = 2  # one prepares and copies, while the other one's batch is planned
+
+Leaves = list[np.ndarray]
+Progress = Callable[[int, int | None], Any]
+
+
+class Many(NamedTuple):
+    """How to plan many scenarios.
+
+    Args:
+        batch_size: scenarios of a program; None for the device's usual one.
+        workers: threads; None for the device's usual number.
+        devices: of one platform, which share each batch; JAX's default device if empty.
+    """
+
+    batch_size: int | None = None
+    workers: int | None = None
+    devices: tuple[Any, ...] = ()
+
+    def check(self) -> None:
+        """Raise an error that names the argument."""
+        for name in ("batch_size", "workers"):
+            value = getattr(self, name)
+            if value is not None and (not isinstance(value, int | np.integer) or value < 1):
+                raise ValueError(f"{name}: expected a whole number, 1 or more, or None; got {value!r}.")
+        if self.devices and self._size() % len(self.devices):
+            raise ValueError(
+                f"batch_size: must be a multiple of the number of devices, {len(self.devices)}; got {self._size()}."
+            )
+
+    def axis(self) -> int | None:
+        """Elements of the program's leading axis; None for a program of one scenario, the planner's own."""
+        return None if self._size() == 1 and not self.devices else self._size()
+
+    def threads(self) -> int:
+        """Number of threads."""
+        alone = self.axis() is None
+        return self.workers or (usable_cores() if alone else THREADS_ELSEWHERE)
+
+    def _size(self) -> int:
+        on_cpu = jax.default_backend() == "cpu"
+        return self.batch_size or (max(1, len(self.devices)) if on_cpu else BATCH_ELSEWHERE)
+
+
+class _Inputs(NamedTuple):
+    """The scenarios as leaves on the host."""
+
+    like: Any
+    """Inputs of one scenario, of ``jax.ShapeDtypeStruct``."""
+    elements: Iterable[Leaves]
+    total: int | None
+    """Number of scenarios; None if not known."""
+
+
+def solve_many(
+    pipeline: Pipeline,
+    scenarios: Scenario | Iterable[Scenario],
+    how: Many,
+    keep: Callable[[Any], Any] | None = None,
+    progress: Progress | None = None,
+) -> Any:
+    """Solutions, stacked, as NumPy arrays.
+
+    Args:
+        pipeline: that solves.
+        scenarios: one pytree with a leading axis, or any iterable of scenarios of one shape.
+        how: batches, threads and devices.
+        keep: from stacked solutions to the part that is returned; all by default.
+        progress: called with the numbers of finished scenarios and of all, None if unknown.
+
+    Raises:
+        InvalidScenario: if a shape is wrong; the message names the field.
+    """
+    how.check()
+    inputs = _inputs(pipeline, scenarios)
+    axis = how.axis()
+    program = pipeline.program(inputs.like, axis, how.devices)
+    tree = jax.tree.structure(inputs.like)
+
+    def run(chunk: list[Leaves]) -> tuple[int, Any]:
+        if axis is None:
+            found = jax.tree.map(
+                lambda v: v[None], jax.device_get(program(jax.tree.unflatten(tree, chunk[0])))
+            )
+        else:
+            padded = chunk + chunk[-1:] * (axis - len(chunk))
+            stacked = [np.stack(leaves) for leaves in zip(*padded, strict=True)]
+            found = jax.device_get(program(jax.tree.unflatten(tree, stacked)))
+            found = jax.tree.map(lambda v: v[: len(chunk)], found)
+        return len(chunk), found if keep is None else keep(found)
+
+    parts, done = [], 0
+    in_flight = None if axis is None else 2 * how.threads()  # a batch is large
+    for count, part in in_order(run, _chunks(inputs.elements, axis or 1), how.threads(), in_flight):
+        parts.append(part)
+        done += count
+        if progress is not None:
+            progress(done, inputs.total)
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+
+
+def _chunks(elements: Iterable[Leaves], size: int) -> Iterator[list[Leaves]]:
+    rest = iter(elements)
+    while chunk := list(itertools.islice(rest, size)):
+        yield chunk
+
+
+def _inputs(pipeline: Pipeline, scenarios: Any) -> _Inputs:
+    if isinstance(scenarios, Scenario):
+        return _of_stack(pipeline, scenarios)
+    if not isinstance(scenarios, Iterable):
+        raise InvalidScenario(
+            f"scenarios: expected scenarios, or one with a leading axis, got a {type(scenarios).__name__}."
+        )
+    rest = iter(scenarios)
+    if (first := next(rest, None)) is None:
+        raise InvalidScenario("scenarios: there are none, and so no shape of the solutions.")
+    pipeline.check(first)
+    like = jax.tree.map(_shape_of, with_arrays(first).solver_inputs())
+    total = len(scenarios) if hasattr(scenarios, "__len__") else None  # pyright: ignore[reportArgumentType]
+    return _Inputs(like, _of_each(like, itertools.chain([first], rest)), total)
+
+
+def _of_stack(pipeline: Pipeline, scenarios: Any) -> _Inputs:
+    """Elements of one pytree with a leading axis."""
+    stack = with_arrays(scenarios)
+    leaves = jax.tree.leaves(stack)
+    if not leaves or not leaves[0].ndim or not leaves[0].shape[0]:
+        raise InvalidScenario("scenarios: expected a leading axis of one scenario or more on every array.")
+    size = leaves[0].shape[0]
+    try:
+        one = one_element(stack, size)
+    except TypeError as error:
+        raise InvalidScenario(f"scenarios.{error}") from error
+    pipeline.check(one)
+    arrays = jax.device_get(jax.tree.leaves(stack.solver_inputs()))
+    elements = ([np.asarray(v[i]) for v in arrays] for i in range(size))
+    return _Inputs(one.solver_inputs(), elements, size)
+
+
+def _of_each(like: Any, scenarios: Iterable[Any]) -> Iterator[Leaves]:
+    """Leaves of scenarios, which must have the first one's shape."""
+    expected = _shapes(like)
+    for number, scenario in enumerate(scenarios):
+        if not isinstance(scenario, Scenario):
+            raise InvalidScenario(
+                f"scenarios[{number}]: expected a scenario, got a {type(scenario).__name__}."
+            )
+        inputs = with_arrays(scenario).solver_inputs()
+        if _shapes(inputs) != expected:
+            differs = difference(spec_of(like), spec_of(inputs))
+            raise InvalidScenario(
+                f"scenarios[{number}]: {differs}. Map scenarios of each shape by themselves."
+            )
+        yield jax.device_get(jax.tree.leaves(inputs))
+
+
+def _shapes(tree: Any) -> Any:
+    leaves, structure = jax.tree.flatten(tree)
+    return structure, [(v.shape, v.dtype) for v in leaves]
+
+
+def _shape_of(v: Any) -> jax.ShapeDtypeStruct:
+    return jax.ShapeDtypeStruct(v.shape, v.dtype)
