@@ -68,7 +68,7 @@ def chains(count: int, seed: int, echo: Echo) -> dict[str, Any]:
 
 def _gap(scenario: jaxscp.LandingScenario, solution: jaxscp.Solution) -> float:
     """Cost over the best of the plan and of solves from two other flight times, less one."""
-    problem, context = scenario.problem(PLANNER.nodes)
+    problem, context = scenario.problem(PLANNER.nodes_for(scenario))
     guess, costs = scenario.guess(problem, context), [float(solution.cost)]
     for factor in (0.7, 1.5):
         other = dataclasses.replace(guess, time=factor * guess.time, dilation=factor * guess.dilation)

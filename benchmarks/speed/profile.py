@@ -70,7 +70,7 @@ def profile(planner: Planner, scenario: LandingScenario, machine: Ceiling, echo:
     solution = planner(scenario)
     whole = least_seconds(lambda: planner(scenario))
     echo(
-        f"{_describe(planner)}, {planner.nodes} nodes: {1e3 * whole:.1f} ms a plan, "
+        f"{_describe(planner)}, {planner.nodes_for(scenario)} nodes: {1e3 * whole:.1f} ms a plan, "
         f"{int(solution.iterations)} subproblems, {_newton_steps(solution)} conic Newton steps, "
         f"{int(solution.interior_point_iterations)} interior steps"
     )
@@ -131,7 +131,7 @@ class Pieces:
 
 
 def _all_pieces(pieces: Pieces, planner: Planner, scenario: LandingScenario, solution: Solution) -> None:
-    request = least_seconds(lambda: validate(scenario, planner.nodes))
+    request = least_seconds(lambda: validate(scenario, planner.nodes_for(scenario)))
     pieces.add(Piece("check of the request, in NumPy", 1, request, np.nan))
     problem, z, _ = pieces.time("guess and problem", 1, planner.pipeline.setup, scenario, count=False)
     if isinstance(planner.method, PTR):

@@ -75,17 +75,18 @@ def plan(request: PlanRequest) -> None:
     name, scenario, facts = _scenario(request, notes)
     planner = MODES[request.mode](request.nodes)
     try:
-        scenario.check(request.nodes)
+        nodes = planner.nodes_for(scenario)
+        scenario.check(nodes)
     except InvalidScenario as error:
         raise typer.BadParameter(str(error)) from error
-    title = f"{name}, mode {request.mode}, {request.nodes} nodes"
+    title = f"{name}, mode {request.mode}, {nodes} nodes"
     notes.print(f"planning {title}: compiling first ...")
     solution, timing = timed(planner, scenario)
     if request.as_json:
         facts = {
             "case": name,
             "mode": request.mode,
-            "nodes": request.nodes,
+            "nodes": nodes,
             **report(solution, timing),
             **facts,
             "info": info(),

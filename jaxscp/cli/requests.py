@@ -23,7 +23,7 @@ CASES: dict[str, Callable[[], LandingScenario]] = {
     "ascend": scenarios.ascent_to_platform,
 }
 
-MODES: dict[str, Callable[[int], Planner]] = {
+MODES: dict[str, Callable[[int | None], Planner]] = {
     # second derivatives, safe between nodes
     "default": lambda nodes: Planner(nodes=nodes),
     # Table I of the paper
@@ -102,6 +102,9 @@ CACHE = typer.Option(
     callback=_cached, help="Store compiled programs here for the next run.", metavar="FOLDER"
 )
 JSON = typer.Option("--json", help="Print one JSON object instead of tables.")
+_NODES = typer.Option(
+    min=2, help="Nodes N; the flight has N - 1 intervals. By default 30 or as many as it needs."
+)
 _PICTURE = typer.Option(callback=_picture, help="Draw the map from above and from the side.", metavar="FILE")
 
 
@@ -115,7 +118,7 @@ class PlanRequest(MapOptions):
         str | None, typer.Argument(callback=known(CASES, "case"), metavar="CASE", help=one_of(CASES))
     ] = None
     mode: Annotated[str, _MODE] = "default"
-    nodes: Annotated[int, typer.Option(min=2, help="Nodes N; the flight has N - 1 intervals.")] = 30
+    nodes: Annotated[int | None, _NODES] = None
     cloud: Annotated[Path | None, _CLOUD] = None
     mass: Annotated[float | None, _MASS] = None
     speed: Annotated[float | None, _SPEED] = None

@@ -71,7 +71,7 @@ def _study(about: dict[str, Any], tables: dict[str, Any], here: Path) -> mc.Stud
         _only(about | {k: v for k, v in tables.items() if k != "sweep"}, {"stop"}, "[sweep] with study")
         return _from_python(name, here)
     scenario = _scenario(about, here)
-    mode, nodes = about.pop("mode", "default"), about.pop("nodes", 30)
+    mode, nodes = about.pop("mode", "default"), about.pop("nodes", None)
     planner = _choose(MODES, mode, "[sweep] mode")(nodes)
     sampling = _sampling(about)
     _only(about, set(), "[sweep]")

@@ -55,7 +55,7 @@ class Status(eqx.Enumeration):
     dynamics_unmet = (
         "No flight was found that obeys the dynamics and meets both ends: virtual control or an end residual remains. "
         "Likely causes: the final time or thrust limits make the task impossible, or the corridor forces too sharp a "
-        "turn. Another guess may help."
+        "turn for so few nodes. More nodes or another guess may help."
     )
     constraints_unmet = (
         "No flight was found that keeps a constraint that is not convex: virtual buffer remains. Likely causes: "

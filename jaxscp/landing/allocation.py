@@ -7,6 +7,8 @@ from jaxscp.core.types import Flag, Points
 from jaxscp.landing.route import Route
 
 LANDING = 5  # intervals, the last ones, that lie in the landing cone
+INTERVALS_A_LEG = 5
+LADDER = (30, 45, 60, 90)  # usual numbers of nodes: few, so that scenarios of nearly one shape share programs
 IN_LAST = LANDING + 1  # intervals of the last leg: one leads to the cone, which other polytopes may not reach
 
 
@@ -23,6 +25,20 @@ def allocate(route: Route, nodes: int) -> Int[Array, "intervals"]:
     ends = least + jnp.round(spare * fraction).astype(int)
     ends = jnp.maximum(jnp.minimum(ends, nodes - 1 - IN_LAST - least[::-1] + 1), least)
     return jnp.searchsorted(ends, jnp.arange(nodes - 1), side="right", method="compare_all").astype(int)
+
+
+def usual_nodes(legs: int) -> int:
+    """Nodes for a route: enough for ``INTERVALS_A_LEG`` intervals a leg, 30 at least.
+
+    With fewer, a turn between two legs lies within one interval, and many plans end in ``dynamics_unmet``.
+
+    Example:
+        >>> from jaxscp.landing.allocation import usual_nodes
+        >>> [usual_nodes(legs) for legs in (1, 5, 8, 12, 40)]
+        [30, 30, 45, 90, 201]
+    """
+    needed = INTERVALS_A_LEG * legs + 1
+    return next((nodes for nodes in LADDER if nodes >= needed), needed)
 
 
 def fits(allocation: Int[Array, "intervals"], fresh: Int[Array, "intervals"]) -> Flag:

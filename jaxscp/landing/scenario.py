@@ -9,10 +9,11 @@ from jaxtyping import Array, Int
 
 from jaxscp.core import pytree_file
 from jaxscp.core.types import Flag
-from jaxscp.landing.allocation import allocate, fits
+from jaxscp.landing.allocation import allocate, fits, usual_nodes
 from jaxscp.landing.guess import initial_guess
 from jaxscp.landing.mission import PARTS, Mission
 from jaxscp.landing.problem import landing_problem
+from jaxscp.landing.structure import check_parts
 from jaxscp.landing.units import Units, in_units, units_of
 from jaxscp.landing.validation import check_types, valid, validate
 from jaxscp.landing.warm_guess import warm_guess
@@ -87,6 +88,12 @@ class LandingScenario(Mission):
         if self.obstacles is None:
             return self
         return eqx.tree_at(lambda s: s.obstacles, self, None)
+
+    def usual_nodes(self) -> int:
+        """Nodes for the legs of its route, by its shape alone: polytopes and gates."""
+        check_parts(self)
+        gates = 0 if self.gates is None else self.gates.centres.shape[0]
+        return usual_nodes(self.corridor.offsets.shape[0] + gates)
 
     def in_solver_units(self, form: Form) -> tuple["LandingScenario", Units | None]:
         """The scenario in units taken from it, and the units.

@@ -24,7 +24,8 @@ class Planner(eqx.Module):
     All fields are static choices: a planner is hashable, and one shape of scenario compiles once for each planner.
 
     Args:
-        nodes: N; the trajectory has N - 1 intervals.
+        nodes: N; the trajectory has N - 1 intervals. By default as many as the scenario's shape needs: 30 for up to 5
+            legs of the route (polytopes and gates), 45 for up to 8, then 60, 90 or 5 intervals a leg.
         method: ``NewtonSCP()`` (local optima, safe between the nodes), or ``PTR()`` (the paper's method).
         samples: points an interval at which the certificate checks the constraints.
 
@@ -36,7 +37,7 @@ class Planner(eqx.Module):
         'converged'
     """
 
-    nodes: int = 30
+    nodes: int | None = None
     method: Method = NewtonSCP()
     samples: int = 200
 
@@ -143,6 +144,16 @@ class Planner(eqx.Module):
         """
         self.pipeline.export(file, self.pipeline.trace(scenario, batch_size))
 
+    def nodes_for(self, scenario: Scenario) -> int:
+        """Nodes of a scenario's plan.
+
+        Example:
+            >>> import jaxscp
+            >>> jaxscp.Planner().nodes_for(jaxscp.scenarios.platform_to_platform())
+            30
+        """
+        return self.pipeline.nodes_for(scenario)
+
     @property
     def pipeline(self) -> Pipeline:
         """Its programs.
@@ -151,6 +162,8 @@ class Planner(eqx.Module):
             InvalidScenario: if a field of the planner is of another class.
         """
         for field, least in (("nodes", 2), ("samples", 2)):
+            if field == "nodes" and self.nodes is None:
+                continue
             if not isinstance(value := getattr(self, field), int | np.integer) or value < least:
                 raise InvalidScenario(f"{field}: expected a whole number, {least} or more, got {value!r}.")
         if isinstance(self.method, type) or not isinstance(self.method, Method):

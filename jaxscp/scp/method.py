@@ -4,6 +4,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxscp.backends.serving import Backends
@@ -14,6 +15,7 @@ from jaxscp.problem.form import Form
 from jaxscp.problem.multipliers import Multipliers
 from jaxscp.problem.scaled_time import ScaledTimeProblem
 from jaxscp.scp.history import History
+from jaxscp.scp.restart import restarted
 from jaxscp.transcription.shooting import Grid
 
 
@@ -81,5 +83,5 @@ def iterate(
     enabled: Flag | bool = True,
 ) -> MethodResult:
     """Result of a method from the guess z; derivatives bypass the iterations."""
-    frozen = jax.lax.stop_gradient((problem, z, enabled))
-    return method.result(problem, batching.alone_on_a_cpu(lambda fixed: method.run(*fixed), frozen))
+    frozen = jax.lax.stop_gradient((problem, z, jnp.asarray(enabled)))
+    return method.result(problem, batching.alone_on_a_cpu(lambda fixed: restarted(method, *fixed), frozen))

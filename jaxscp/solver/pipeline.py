@@ -5,6 +5,7 @@ share the others, which are large: the solver and the verifier, compiled in para
 inputs of the next.
 """
 
+import dataclasses
 import functools
 import os
 import pathlib
@@ -38,12 +39,12 @@ class Pipeline(eqx.Module):
     """Static choices; one shape of scenario compiles once for each.
 
     Args:
-        nodes: N; the trajectory has N - 1 intervals.
+        nodes: N; the trajectory has N - 1 intervals. None takes the scenario's usual number.
         method: that solves.
         samples: points an interval at which the certificate checks the constraints.
     """
 
-    nodes: int
+    nodes: int | None
     method: Method
     samples: int
 
@@ -62,8 +63,12 @@ class Pipeline(eqx.Module):
 
         Where that does not converge, the scenario is planned anew.
         """
-        found = self._from_plan(solution, scenario)
-        return better(found, functools.partial(self._anew, scenario))
+        known = solution if isinstance(solution, Solution) else None
+        plan: Any = solution if known is None else known.trajectory
+        self._check_plan(plan)
+        fixed = dataclasses.replace(self, nodes=plan.nodes)
+        found = fixed._from_plan(plan.with_dynamics(None), None if known is None else known.context, scenario)
+        return better(found, functools.partial(fixed._anew, scenario))
 
     @any_rank
     def _anew(self, scenario: Scenario, needed: Flag) -> Solution:
@@ -73,17 +78,12 @@ class Pipeline(eqx.Module):
         return self._finish(inputs, (ok & needed, *rest))
 
     @any_rank
-    def _from_plan(self, solution: Solution | Trajectory, scenario: Scenario) -> Solution:
+    def _from_plan(self, plan: Trajectory, context: Any, scenario: Scenario) -> Solution:
+        """The solution from a plan; one with dynamics would compile another program."""
         scenario = aot.with_arrays(scenario)
         self.check(scenario)
         inputs = scenario.solver_inputs()
-        known = solution if isinstance(solution, Solution) else None
-        plan: Any = solution if known is None else known.trajectory
-        self._check_plan(plan)
-        plan = plan.with_dynamics(None)  # a plan with dynamics would compile another program
-        return self._finish(
-            inputs, _setup_again(self, inputs, None if known is None else known.context, plan)
-        )
+        return self._finish(inputs, _setup_again(self, inputs, context, plan))
 
     @any_rank
     def compile(self, scenario: Scenario, batch_size: int | None = None) -> aot.CompiledPlanner:
@@ -105,7 +105,7 @@ class Pipeline(eqx.Module):
         _check_class(scenario)
         # Not as parts of another program: XLA then compiles them exactly as it does for a plain call.
         parts = [functools.partial(part.function, self) for part in (_setup, _solve, _conclude)]
-        return aot.trace(parts, aot.with_arrays(scenario), self.nodes, batch_size, devices)
+        return aot.trace(parts, aot.with_arrays(scenario), self.nodes_for(scenario), batch_size, devices)
 
     def program(
         self, like: Any, batch_size: int | None = None, devices: tuple[Any, ...] = ()
@@ -127,13 +127,17 @@ class Pipeline(eqx.Module):
         _, problem, z, (_, context) = _inputs(self, scenario)
         return problem, z, context
 
+    def nodes_for(self, scenario: Scenario) -> int:
+        """Nodes of a scenario's plan."""
+        return scenario.usual_nodes() if self.nodes is None else self.nodes
+
     def check(self, scenario: Scenario) -> None:
         """Check a scenario: its parts and shapes, and its values where all are known."""
         _check_class(scenario)
         if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(scenario)):
             shape_of = lambda v: jax.ShapeDtypeStruct(v.shape, v.dtype) if hasattr(v, "dtype") else v  # noqa: E731
             scenario = jax.tree.map(shape_of, scenario)
-        scenario.check(self.nodes)
+        scenario.check(self.nodes_for(scenario))
 
     def _check_plan(self, plan: Any) -> None:
         """Check the trajectory of a re-plan, before anything is compiled."""
@@ -141,7 +145,7 @@ class Pipeline(eqx.Module):
             raise InvalidScenario(f"solution: expected a Solution or a Trajectory, got {_class_of(plan)}.")
         if (axes := plan.state.ndim) != 2:
             raise InvalidScenario(f"solution: expected one plan, got {axes - 2} leading axes; use jax.vmap.")
-        if plan.state.shape[0] != self.nodes:
+        if self.nodes not in (None, plan.nodes):
             raise InvalidScenario(
                 f"solution: its trajectory has {plan.state.shape[0]} nodes, but the planner has {self.nodes}. "
                 f"Plan with Planner(nodes={self.nodes}), or take trajectory.resampled({self.nodes})."
@@ -169,7 +173,7 @@ def _inputs(pipeline: Pipeline, scenario: Scenario, context: Any = None, plan: T
         context: of an earlier solution, or None.
         plan: to start from, in the user's units; None for the scenario's own guess.
     """
-    nodes, form = pipeline.nodes, pipeline.method.form
+    nodes, form = pipeline.nodes_for(scenario), pipeline.method.form
     own, units = scenario.in_solver_units(form)
     stated, context = own.problem(nodes, form, context)
     if plan is None:

@@ -38,6 +38,10 @@ class Request(eqx.Module):
         """All of it."""
         return self
 
+    def usual_nodes(self) -> int:
+        """Those of the problem."""
+        return self.asked.time.nodes
+
     def in_solver_units(self, form: Form) -> tuple["Request", None]:
         """As it is: a problem states its own scale."""
         return self, None

@@ -56,6 +56,10 @@ class Scenario(Protocol):
         """The scenario without the parts that no solver reads."""
         ...
 
+    def usual_nodes(self) -> int:
+        """Nodes of a planner that states none, by shapes alone."""
+        ...
+
     def in_solver_units(self, form: Form) -> tuple["Scenario", Units | None]:
         """The scenario in the units that a method works in, and these units; None for the user's own."""
         ...

@@ -15,7 +15,7 @@ from jaxscp.problem.errors import InvalidScenario
 SCENARIO = jaxscp.scenarios.ascent_to_platform()
 PLANNER = jaxscp.Planner(nodes=10, method=jaxscp.PTR(max_iterations=2))
 MASSES = np.array([0.9, 0.95, np.nan, 1.0, 1.05])
-ROUNDING = 1e-9  # a batch may fuse a product and a sum, and one element alone may not
+ACCURACY = 1e-5  # of the last subproblem, a coarse one: a batch is another program, and its roundings differ
 
 
 def with_mass(mass):
@@ -70,7 +70,7 @@ def test_progress_and_what_is_kept(plans):
 @pytest.mark.parametrize("size", [2, 8])
 def test_batches_have_the_same_plans(plans, size):
     """The last batch is not full; or the only one."""
-    assert_same(PLANNER.map(stack(MASSES), batch_size=size), plans, ROUNDING)
+    assert_same(PLANNER.map(stack(MASSES), batch_size=size), plans, ACCURACY)
 
 
 @pytest.mark.parametrize(
@@ -121,4 +121,4 @@ def test_devices_share_a_batch(plans):
     )
     assert done.returncode == 0, done.stderr
     costs = [np.nan if plan is None else float(plan.cost) for plan in plans]
-    np.testing.assert_allclose(np.array(done.stdout.split(), float), costs, rtol=ROUNDING)
+    np.testing.assert_allclose(np.array(done.stdout.split(), float), costs, rtol=ACCURACY)

@@ -36,7 +36,7 @@ def test_optimal_by_ipopts_account_and_safe_between_nodes(mission):
         assert certificate.passed()
         moving = eqx.tree_at(lambda c: c.optimality, certificate, 2.0 * jnp.asarray(OPTIMALITY_TOLERANCE))
         assert not moving.passed()
-        best = optimum.best(optimum.Optimum(as_arrays(scenario, planner.nodes)).solve(starts=1))
+        best = optimum.best(optimum.Optimum(as_arrays(scenario, planner.nodes_for(scenario))).solve(starts=1))
         assert abs(float(solution.cost) / best - 1.0) < SAME_COST
 
 

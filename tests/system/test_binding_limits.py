@@ -88,7 +88,7 @@ def test_gradients_are_differences(limits):
 
     @jax.jit
     def optimum(value):
-        problem = problem_over_scaled_time(with_limit(value), PLANNER.nodes)
+        problem = problem_over_scaled_time(with_limit(value), PLANNER.nodes_for(with_limit(value)))
         found = AGAIN.run(problem, solution.z, solution.multipliers, GRID)
         return total_cost(problem, found.z, evaluate(problem, found.z, GRID)), AGAIN.is_optimum(found)
 

@@ -40,7 +40,7 @@ def planned():
     )
     planner = Planner(nodes=20)
     solution = planner(scenario)
-    problem = problem_over_scaled_time(scenario, planner.nodes)
+    problem = problem_over_scaled_time(scenario, planner.nodes_for(scenario))
     flight = jax.jit(lambda t: rollout(problem, t, 100))(solution.trajectory)
     return scenario, solution, flight
 

@@ -1,0 +1,83 @@
+"""The second start, from a slower guess."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxscp
+from jaxscp.core.status import Status
+from jaxscp.scp.restart import SLOWER, restarted, slower
+from jaxscp.transcription.layout import trajectory_of
+from tests.support.flights import random_nodes, short_problem
+
+PROBLEM = short_problem()
+GUESS = random_nodes(PROBLEM, 0)
+
+
+class End(eqx.Module):
+    """Last state: the guess, and whether it was slow enough."""
+
+    z: Any
+    status: Any
+
+
+class Threshold(eqx.Module):
+    """The simplest method: it converges from guesses that take a time at least, and takes no step."""
+
+    least: Any
+
+    def run(self, problem, z, enabled):
+        """The end."""
+        enough = jnp.sum(trajectory_of(problem, z).dilation) >= self.least
+        return End(z, Status.where(enough & enabled, Status.converged, Status.dynamics_unmet))
+
+
+def total(z):
+    return float(jnp.sum(trajectory_of(PROBLEM, z).dilation))
+
+
+def end(factor, enabled=True):
+    """The end of a method that needs a factor of the guess's time."""
+    return restarted(Threshold(factor * total(GUESS)), PROBLEM, GUESS, jnp.asarray(enabled))
+
+
+def test_the_slower_guess_is_the_same_path_in_more_time():
+    before, after = (trajectory_of(PROBLEM, z) for z in (GUESS, slower(PROBLEM, GUESS)))
+    np.testing.assert_array_equal(after.state, before.state)
+    np.testing.assert_array_equal(after.control, before.control)
+    most = np.maximum(float(PROBLEM.dilation_max), before.dilation)
+    np.testing.assert_allclose(after.dilation, np.minimum(SLOWER * before.dilation, most))
+
+
+def test_it_starts_again_only_where_that_helps():
+    assert Status.converged == end(0.9).status
+    np.testing.assert_array_equal(end(0.9).z, GUESS)
+    np.testing.assert_array_equal(end(1.1).z, slower(PROBLEM, GUESS))
+    np.testing.assert_array_equal(end(9.0).z, GUESS)  # neither converges: the end is the first one's
+    np.testing.assert_array_equal(end(1.1, enabled=False).z, GUESS)
+
+
+def test_elements_of_a_batch_start_again_by_themselves():
+    """The first is slow enough, the second is after its restart, the third is not."""
+    guesses = jnp.stack([slower(PROBLEM, GUESS), GUESS, jnp.asarray(GUESS).at[:, -1].multiply(0.5)])
+    method = Threshold(1.1 * total(GUESS))
+    found = jax.vmap(lambda z: restarted(method, PROBLEM, z, jnp.array(True)))(guesses)
+    for z, expected in zip(found.z, (guesses[0], guesses[0], guesses[2]), strict=True):
+        np.testing.assert_array_equal(z, expected)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("seed", [27, 54])
+def test_chains_of_turns_that_need_a_slower_guess(seed):
+    """Each has a motion that can be flown; from its first guess, 30 nodes end in ``dynamics_unmet``."""
+    from benchmarks.robustness.chains import chain
+    from benchmarks.robustness.judge import refuted
+
+    scenario = chain(seed).scenario
+    solution = jaxscp.Planner(nodes=30)(scenario)
+    assert jaxscp.status_names(solution.status) == "converged"
+    assert not refuted(scenario, solution)
