@@ -96,12 +96,12 @@ def measure(count: int, mode: str, chunk: int, folder: Path) -> dict[str, Any]:
     """All figures."""
     jaxscp.use_cache(folder / "cache")
     planned, few = study(count, mode), study(min(count, 3 * chunk), mode)
-    one, whole = rate(planned, folder / "one", mc.InProcess(), chunk, 1)
+    one, whole = rate(planned, folder / "one", mc.InProcess(mc.OneByOne(1)), chunk, 1)
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (
         1024.0 if sys.platform == "linux" else 1024.0**2
     )
-    single, _ = rate(planned, folder / "single", mc.Processes(1), chunk, 1)
-    both, two = rate(planned, folder / "two", mc.Processes(PAIR), chunk, PAIR)
+    single, _ = rate(planned, folder / "single", mc.Processes(1, mc.OneByOne(1)), chunk, 1)
+    both, two = rate(planned, folder / "two", mc.Processes(PAIR, mc.OneByOne(1)), chunk, PAIR)
     small = mc.sweep(few, folder / "few", chunk=chunk)
     worst, rows = coverage_worst()
     return {

@@ -4,8 +4,8 @@
                                [--batch 4096] [--total 65536]
 
 Parts: ``profile``, ``rivals`` (extra ``benchmarks``), ``scaling``, ``starts``, ``levels``, ``many``, ``alone``,
-``batches``. The default is all but the last two; ``--gpu`` runs the last three. ``--check`` compares the ratios with
-benchmarks/baseline.json. The exit code is 1 if a ratio is worse by more than a factor of 1.5.
+``batches``, ``mappings``. The default is the first six; ``--gpu`` runs ``alone``, ``batches`` and ``many``. ``--check``
+compares the ratios with benchmarks/baseline.json. The exit code is 1 if a ratio is worse by more than a factor of 1.5.
 """
 
 import argparse
@@ -50,6 +50,10 @@ def measure(part: str, options: argparse.Namespace, echo: Callable[[str], None])
             from benchmarks.speed import many
 
             return many.run(echo, options.nodes, options.batch, options.total)
+        case "mappings":
+            from benchmarks.speed import mappings
+
+            return mappings.run(echo)
         case "alone":
             from benchmarks.speed import alone
 
@@ -66,7 +70,7 @@ def main() -> int:
     parser.add_argument("--json", action="store_true", help="print one JSON object, the tables on stderr")
     parser.add_argument("--check", action="store_true", help="compare ratios with benchmarks/baseline.json")
     parser.add_argument(
-        "--only", nargs="+", choices=(*PARTS, *FOR_ACCELERATORS[:-1]), help="these parts alone"
+        "--only", nargs="+", choices=(*PARTS, "alone", "batches", "mappings"), help="these parts alone"
     )
     parser.add_argument("--gpu", action="store_true", help="the parts for accelerators")
     parser.add_argument("--nodes", type=int, default=30)

@@ -15,9 +15,10 @@ from typing import Any
 
 import jax
 
-from jaxscp.aot import archive, cache_folder, export
+from jaxscp.aot import archive, cache_folder, export, mappings
 from jaxscp.aot.aot import CompiledPlanner, TracedPlanner, compiled, with_programs
 from jaxscp.aot.pytree_spec import Spec, spec_of
+from jaxscp.aot.recent import Recent
 from jaxscp.backends.xla import is_traced, options
 
 PACKAGE = __name__.partition(".")[0]
@@ -53,9 +54,36 @@ def cached(maker: Maker, inputs: Any, *more: Any) -> CompiledPlanner | None:
     """
     if not _plain((inputs, more)):
         return None
+    key = _key(maker, inputs)
+    return _PLANNERS.get(key, lambda: _made(*key[:-1]))
+
+
+def known(maker: Maker, inputs: Any, *more: Any) -> CompiledPlanner | None:
+    """The same if this process has it already; None if not.
+
+    Args:
+        maker: of the planner.
+        inputs: of the call; need not be valid.
+        more: further arrays of the call.
+    """
+    if jax.config.jax_debug_nans or not all(hasattr(leaf, "dtype") for leaf in jax.tree.leaves(inputs)):  # pyright: ignore[reportAttributeAccessIssue]
+        return None  # an error of the check is clearer
+    return _PLANNERS.known(_key(maker, inputs)) if _plain((inputs, more)) else None
+
+
+def make_room() -> None:
+    """Drop planners if the process has almost too many memory mappings for another program.
+
+    Raises:
+        TooManyPrograms: if that does not suffice.
+    """
+    mappings.make_room(_PLANNERS.clear)
+
+
+def _key(maker: Maker, inputs: Any) -> tuple:
     leaves, tree = jax.tree.flatten(inputs)
     shapes = tuple(jax.ShapeDtypeStruct(v.shape, v.dtype) for v in leaves)
-    return _cached(cache_folder.folder(), maker, tree, shapes, tuple(_settings().values()))
+    return cache_folder.folder(), maker, tree, shapes, tuple(_settings().values())
 
 
 def _plain(arrays: Any) -> bool:
@@ -65,10 +93,11 @@ def _plain(arrays: Any) -> bool:
     return all(leaf.devices() == here for leaf in jax.tree.leaves(arrays) if isinstance(leaf, jax.Array))
 
 
-@functools.lru_cache(maxsize=MOST)
-def _cached(
-    folder: pathlib.Path | None, maker: Maker, tree: Any, shapes: tuple, settings: tuple
-) -> CompiledPlanner:
+_PLANNERS: Recent[CompiledPlanner] = Recent(MOST)
+
+
+def _made(folder: pathlib.Path | None, maker: Maker, tree: Any, shapes: tuple) -> CompiledPlanner:
+    make_room()
     like = jax.tree.unflatten(tree, shapes)
     file = folder and _file(folder, maker.planner, like)
     if file is None:

@@ -51,7 +51,7 @@ class SweepRequest:
         return mc.sweep(
             asked.study,
             self.folder or asked.folder,
-            engine=mc.InProcess() if workers == 1 else mc.Processes(workers),
+            engine=mc.InProcess(mc.OneByOne(1)) if workers == 1 else mc.Processes(workers),
             keep=asked.keep,
             stop=asked.stop,
             progress=mc.JSONLines(stream=sys.stdout) if self.as_json else mc.Bar(),

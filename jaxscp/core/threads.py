@@ -34,7 +34,7 @@ def in_order(
     Args:
         function: of one item. It runs with this thread's precision and default device.
         items: any number.
-        workers: threads.
+        workers: threads; with one, the function runs in the calling thread.
         in_flight: items that are begun, or finished and not yet taken; some a worker by default.
 
     Example:
@@ -42,6 +42,9 @@ def in_order(
         >>> list(in_order(lambda v: v * v, range(5), workers=2))
         [0, 1, 4, 9, 16]
     """
+    if workers == 1:
+        yield from map(function, items)
+        return
     double, device = double_precision(), jax.config.jax_default_device  # pyright: ignore[reportAttributeAccessIssue]
 
     def act(item: Item) -> Result:

@@ -17,6 +17,7 @@ from typing import Any, Protocol, runtime_checkable
 import jax
 
 from jaxscp.aot import cache_folder
+from jaxscp.core.threads import usable_cores
 from jaxscp.monte_carlo.chunk import ChunkJob, ChunkReport, Evaluator
 from jaxscp.monte_carlo.errors import SweepError, extra
 from jaxscp.monte_carlo.evaluators import OneByOne
@@ -123,7 +124,7 @@ class Workers:
 
 @dataclasses.dataclass(frozen=True)
 class Processes:
-    """Processes of this machine, each on its own cores: on a CPU faster than one process with threads.
+    """Processes of this machine, each on its own cores: for functions that threads would not speed up.
 
     Each process compiles for itself; ``jaxscp.use_cache`` lets them share.
 
@@ -132,7 +133,7 @@ class Processes:
         evaluator: how each runs its cases.
     """
 
-    count: int = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
+    count: int = usable_cores()
     evaluator: Evaluator = OneByOne()  # noqa: RUF009
 
     @contextlib.contextmanager

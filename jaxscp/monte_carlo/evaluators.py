@@ -10,6 +10,7 @@ import numpy as np
 from jax.sharding import PartitionSpec
 
 from jaxscp.core.status import STATUS_NAMES
+from jaxscp.core.threads import in_order, usable_cores
 from jaxscp.monte_carlo.errors import SweepError
 from jaxscp.monte_carlo.outcome import (
     STATUS,
@@ -22,13 +23,26 @@ from jaxscp.monte_carlo.outcome import (
     units_of,
 )
 from jaxscp.monte_carlo.sampling import Numbers
+from jaxscp.monte_carlo.solves import Solves
 from jaxscp.monte_carlo.study import ById, Study
+from jaxscp.planner.planner import Planner
 from jaxscp.problem.errors import InvalidProblem, InvalidScenario
 
 
 @dataclasses.dataclass(frozen=True)
 class OneByOne:
-    """A loop over single cases: fastest on a CPU, and the way for functions that are not JAX."""
+    """Single cases, one after another on each thread: fastest on a CPU, and the way for functions that are not JAX.
+
+    Args:
+        workers: threads; by default all usable cores for planners, and one for a function that may not be safe there.
+            Results do not depend on it.
+    """
+
+    workers: int | None = None
+
+    def __post_init__(self):
+        if self.workers is not None and self.workers < 1:
+            raise ValueError(f"OneByOne: workers must be 1 or more, got {self.workers}")
 
     def quantities(self, study: Study) -> dict[str, Quantity]:
         """See ``Evaluator``. Runs the base once, which also compiles."""
@@ -43,23 +57,35 @@ class OneByOne:
         Raises:
             SweepError: if the function fails; the message names the case.
         """
-        rows, busy = [], 0.0
-        for number, drawn in zip(numbers, study.values(numbers), strict=True):
-            case = study.insert(drawn)
-            began = time.perf_counter()
-            try:
-                value = jax.block_until_ready(study.run(case))
-                busy += time.perf_counter() - began
-                rows.append(
-                    as_arrays(outcome_of(jax.device_get(value)))
-                )  # one copy, and no compiled indexing
-            except (InvalidScenario, InvalidProblem) as error:
-                if STATUS not in stored:
-                    raise SweepError(f"case {number}: {error}") from error
-                rows.append(_invalid(stored))  # as under vmap
-            except Exception as error:
-                raise SweepError(f"case {number}: run failed, {type(error).__name__}: {error}") from error
-        return {name: np.stack([row[name] for row in rows]) for name in rows[0]}, busy
+
+        def one(case: tuple[Any, Any]) -> tuple[dict[str, np.ndarray], float]:
+            return _row(study, *case, stored)
+
+        cases = zip(numbers, study.values(numbers), strict=True)
+        rows, seconds = zip(*in_order(one, cases, self._threads(study)), strict=True)
+        return {name: np.stack([row[name] for row in rows]) for name in rows[0]}, sum(seconds)
+
+    def _threads(self, study: Study) -> int:
+        safe = isinstance(study.run, Planner | Solves)
+        return self.workers or (usable_cores() if safe else 1)
+
+
+def _row(
+    study: Study, number: Any, drawn: Any, stored: dict[str, Quantity]
+) -> tuple[dict[str, np.ndarray], float]:
+    """Results of one case, and seconds inside ``study.run``."""
+    case = study.insert(drawn)
+    began = time.perf_counter()
+    try:
+        value = jax.block_until_ready(study.run(case))
+        seconds = time.perf_counter() - began
+        return as_arrays(outcome_of(jax.device_get(value))), seconds  # one copy, and no compiled indexing
+    except (InvalidScenario, InvalidProblem) as error:
+        if STATUS not in stored:
+            raise SweepError(f"case {number}: {error}") from error
+        return _invalid(stored), 0.0  # as under vmap
+    except Exception as error:
+        raise SweepError(f"case {number}: run failed, {type(error).__name__}: {error}") from error
 
 
 def _invalid(stored: dict[str, Quantity]) -> dict[str, np.ndarray]:

@@ -1,7 +1,7 @@
 """A second start: where the iterations from a guess find nothing, they start once more from a slower one.
 
-A guess that is too quick for its path needs more thrust than there is, or turns more between two nodes than a subproblem
-can tell. Most such problems are solved from the same path, flown more slowly.
+A guess that is too quick for its path needs more thrust than there is. Or it turns more between two nodes than a
+subproblem can tell. Most such problems are solved from the same path, flown more slowly.
 """
 
 from typing import Any

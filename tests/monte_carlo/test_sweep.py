@@ -76,6 +76,15 @@ def again(folder, **more):
     return mc.sweep(dice.study(), folder, keep=mc.FailedTrajectories(), chunk=30, **more)
 
 
+def test_threads_have_the_results_of_one(whole, tmp_path):
+    engine = mc.InProcess(mc.OneByOne(workers=3))
+    identical(
+        mc.sweep(dice.study(), tmp_path / "s", keep=mc.FailedTrajectories(), chunk=30, engine=engine), whole
+    )
+    with pytest.raises(ValueError, match="workers must be 1 or more"):
+        mc.OneByOne(workers=0)
+
+
 def test_results_are_the_functions_values(whole):
     found = whole.dataset()
     np.testing.assert_array_equal(found["speed"], dice.study().values(np.arange(200))[:, 0])

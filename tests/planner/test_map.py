@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import equinox as eqx
 import jax
@@ -43,6 +44,23 @@ def assert_same(found, plans, tolerance=0.0):
             alone = jax.tree.map(lambda v, i=i: v[i], found)
             compare = lambda a, b: np.testing.assert_allclose(a, b, rtol=tolerance, atol=tolerance)  # noqa: E731
             jax.tree.map(compare, alone, jax.device_get(plan))
+
+
+def test_a_scenario_is_checked_in_a_call_of_a_known_program_too(plans):
+    """There the check runs beside the plan."""
+    with pytest.raises(InvalidScenario, match="mass"):
+        PLANNER(with_mass(-1.0))
+    with pytest.raises(InvalidScenario, match="mass"):
+        PLANNER(with_mass(np.ones(2)))
+    with jax.debug_nans(True), pytest.raises(InvalidScenario, match="mass"):
+        PLANNER(with_mass(np.nan))
+
+
+def test_threads_may_call_one_planner(plans):
+    with ThreadPoolExecutor(3) as pool:
+        found = list(pool.map(PLANNER, [with_mass(mass) for mass in MASSES[[0, 1, 3, 4]]]))
+    for plan, same in zip([plan for plan in plans if plan is not None], found, strict=True):
+        np.testing.assert_array_equal(plan.z, same.z)
 
 
 @pytest.mark.parametrize("workers", [None, 1, 3])
