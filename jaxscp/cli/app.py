@@ -164,7 +164,9 @@ def _scenario(request: PlanRequest, notes: Console) -> tuple[str, LandingScenari
         raise typer.Exit(1)
     pictured = jnp.asarray(points.thinned(PICTURED).points)
     ends = at_rest(request.start), at_rest(request.goal)
-    return request.cloud.name, request.changed(scenarios.through(result.corridor, *ends, pictured)), facts
+    known = {"obstacles": pictured, "near_obstacles": result.near_obstacles}
+    scenario = scenarios.through(result.corridor, *ends, **known)
+    return request.cloud.name, request.changed(scenario), facts
 
 
 def _corridor(request: PlanRequest, file: Path, notes: Console) -> tuple[PointCloud, CorridorResult]:

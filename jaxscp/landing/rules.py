@@ -34,6 +34,12 @@ def rules(s: Mission, xp):
     yield from _flight_limit_rules(s, xp)
     yield from _zone_rules(s, xp)
     yield from _component_rules(s, xp)
+    if s.near_obstacles is not None:
+        yield Rule(
+            s.near_obstacles.reach >= s.airframe.radius,
+            f"near_obstacles.reach: obstacles are known up to {s.near_obstacles.reach} m from the corridor, less than "
+            f"airframe.radius, {s.airframe.radius} m. Make corridor and obstacles with this radius or a greater one.",
+        )
 
 
 def _direction_rules(s: Mission, xp):

@@ -9,6 +9,7 @@ from typing import Any, TypedDict, Unpack
 import numpy as np
 
 from jaxscp.core.arrays import floats
+from jaxscp.corridor.obstacles import Obstacles
 from jaxscp.corridor.polytopes import Corridor, box, connect
 from jaxscp.dynamics.airframes import Airframe, paper_mav
 from jaxscp.landing.mission import BodyState, Components, Ellipsoids, FlightLimits, Weights, at_rest
@@ -69,6 +70,7 @@ class Parts(TypedDict, total=False):
     deck_velocity: Any
     start_fixed: Components | None
     goal_fixed: Components | None
+    near_obstacles: Obstacles | None
 
 
 def through(
@@ -82,7 +84,7 @@ def through(
         goal: where it lands.
         obstacles: (points, 3) in m, for pictures.
         parts: other fields of ``LandingScenario``: airframe, weights, limits, keep_out, gates, deck_velocity,
-            cone_angle, dilation_min, dilation_max, start_fixed, goal_fixed.
+            cone_angle, dilation_min, dilation_max, start_fixed, goal_fixed, near_obstacles.
 
     Raises:
         TypeError: a scenario has no such field.
