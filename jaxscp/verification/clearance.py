@@ -14,9 +14,9 @@ PARTS = 50  # chords an interval, about
 def clearance(hull: Hull, integrated: Rollout) -> Scalar:
     """Least distance in metres from the hull to an obstacle, or a little less; negative where one is in the hull.
 
-    Between two of its points, the path lies within (h / 4) V of the chord: h is the time between them, and V the
-    length of the velocity's curve (the Green's function of a second derivative is h / 4 at most). So the distance to a
-    chord, less that bound, holds between the samples. Obstacles beyond ``reach`` are not known, and bound it too.
+    Between two of its points, the path lies within (h / 4) V of the chord, as the Green's function of a second
+    derivative is h / 4 at most. h is the time between the points, and V the length of the velocity's curve. So the
+    distance to a chord, less that bound, holds between the samples. Obstacles beyond ``reach`` are not known.
 
     Args:
         hull: radius and obstacles, in the units of the rollout.

@@ -1,5 +1,7 @@
 """Clearance of the hull: a bound on distances along curves that are known in closed form."""
 
+from itertools import pairwise
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,7 +12,7 @@ from jaxscp.verification.clearance import clearance
 from jaxscp.verification.rollout import Rollout
 
 RADIUS, REACH = 0.25, 50.0
-CONSERVATIVE = 1e-3  # m: what the bound may give away on the curves below
+CONSERVATIVE = 1e-3  # m: (h / 4) V with 50 chords an interval, on the curves below
 MEASURE = jax.jit(clearance)
 
 
@@ -30,7 +32,7 @@ def hull(points, present=None, deck=None, at_deck=(False, False), spread=0.0, re
 def flown(position, velocity, end=2.0, samples=200):
     """A rollout of two intervals along a curve."""
     edges = np.linspace(0.0, end, 3)
-    time = np.stack([np.linspace(a, b, samples) for a, b in zip(edges[:-1], edges[1:], strict=True)])
+    time = np.stack([np.linspace(a, b, samples) for a, b in pairwise(edges)])
     state = np.zeros((2, samples, 13))
     state[..., :3], state[..., 3:6] = position(time), velocity(time)
     return Rollout(*map(jnp.asarray, (time, state, np.zeros((2, samples, 4)))))
