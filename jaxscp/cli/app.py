@@ -182,7 +182,7 @@ def _corridor(request: PlanRequest, file: Path, notes: Console) -> tuple[PointCl
         points = request.read(file)
         if request.safety_radius < (hull := float(paper_mav().radius)):
             warnings.warn(
-                f"--radius {request.safety_radius:g} m is less than the vehicle's radius, {hull:g} m: a plan so near to "
+                f"--radius {request.safety_radius:g} m is below the vehicle's radius, {hull:g} m: a plan so near to "
                 f"a point is not converged; give --radius {hull:g} or more",
                 stacklevel=1,
             )
