@@ -108,6 +108,13 @@ class MapReport(eqx.Module):
         return "\n".join(lines)
 
 
+def _empty(cloud: PointCloud) -> tuple[str, ...]:
+    """Why a cloud without points is refused; an empty array is free space."""
+    if cloud.dropped:
+        return (f"none of its {cloud.dropped} points is finite, so that no obstacle is known",)
+    return () if cloud.provenance is None else ("the file holds no point, so that no obstacle is known",)
+
+
 def map_report(
     cloud: PointCloud | ArrayLike,
     start: Triple | None = None,
@@ -140,9 +147,8 @@ def map_report(
     origin = cloud.provenance
     source = "array" if origin is None else origin.file
     if cloud.count == 0:
-        empty = () if origin is None else ("the file holds no point, so that no obstacle is known",)
         nowhere = np.zeros(3), np.zeros(3), float("inf")
-        return MapReport(source, 0, cloud.dropped, 0, *nowhere, radius, refused=empty)
+        return MapReport(source, 0, cloud.dropped, 0, *nowhere, radius, refused=_empty(cloud))
     facts = _facts(cloud, source, radius)
     flight, inside = None, None
     if start is not None and goal is not None:

@@ -123,6 +123,12 @@ def test_all_points_at_one_place_are_no_map(tmp_path):
     assert "points lie at (0, 0, 0)" in refused(on_file(tmp_path, np.zeros((90, 3))), [0, 0, 1], [0.1, 0, 1])
 
 
+def test_an_array_without_one_finite_point_is_refused():
+    with pytest.warns(UserWarning, match="dropped 5 of 5"):
+        lost = PointCloud.of(np.full((5, 3), np.nan))
+    assert "none of its 5 points is finite" in refused(lost)
+
+
 def test_a_file_without_a_point_is_refused_and_an_empty_array_is_free_space(tmp_path):
     (tmp_path / "none.xyz").write_text("# x y z\n")
     assert "holds no point" in refused(read_cloud(tmp_path / "none.xyz"))
