@@ -21,14 +21,14 @@ def chain(rng: np.random.Generator, rooms: int) -> tuple[list[Box], np.ndarray, 
         end = np.array([first - width + last - 0.7, reach - half])
     start = np.array([0.6, rng.uniform(-0.2, 0.2), rng.uniform(0.6, height - 1.2)])
     goal = np.array([*end, rng.uniform(0.5, height - 1.6)])
-    turn = _quarter(rng.integers(4), rng.random() < 0.5)
+    turn = _quarter(int(rng.integers(4)), rng.random() < 0.5)
     shift = rng.choice([0.0, 1.0, 200.0]) * rng.uniform(-1.0, 1.0, 3)
     corners = [np.sort(np.array(box) @ turn.T + shift, axis=0) for box in boxes]
     return [(c[0], c[1]) for c in corners], turn @ start + shift, turn @ goal + shift
 
 
 def _quarter(turns: int, mirrored: bool) -> np.ndarray:
-    matrix = np.linalg.matrix_power(np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]), int(turns))
+    matrix = np.linalg.matrix_power(np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]), turns)
     return matrix @ np.diag([1.0, -1.0 if mirrored else 1.0, 1.0])
 
 
@@ -59,8 +59,6 @@ def hall(rng: np.random.Generator) -> tuple[np.ndarray, list[Box], np.ndarray, n
             a, b = low - 0.5, high + 0.5
             a[axis], b[axis] = sorted((side[axis], side[axis] + 9.0 * towards))
             solid.append((a, b))
-    ends = [
-        [1.0, rng.uniform(-1, 1), rng.uniform(0.8, 1.5)],
-        [length - 1.0, rng.uniform(-1, 1), rng.uniform(0.8, 1.5)],
-    ]
-    return points, solid, *map(np.array, ends)
+    start = np.array([1.0, rng.uniform(-1, 1), rng.uniform(0.8, 1.5)])
+    goal = np.array([length - 1.0, rng.uniform(-1, 1), rng.uniform(0.8, 1.5)])
+    return points, solid, start, goal
