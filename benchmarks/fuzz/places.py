@@ -4,7 +4,7 @@ import numpy as np
 
 from benchmarks.fuzz.oracle import Box
 
-WALLS = 0.3  # m between points of a room's walls
+WALLS = 0.4  # m between points of a room's walls
 
 
 def chain(rng: np.random.Generator, rooms: int) -> tuple[list[Box], np.ndarray, np.ndarray]:

@@ -46,7 +46,8 @@ def read_npy(path: Path, request: Request) -> FileContent:
     table = array.reshape(-1, array.shape[-1])
     check_count(path, len(table))
     columns, notes = chosen_columns(str(path), np.asarray(table[:_SAMPLE], float), request.layout)
-    return FileContent(np.array(table[:, columns]), notes=notes)
+    whole = list(columns) == list(range(table.shape[1]))
+    return FileContent(np.array(table if whole else table[:, columns]), notes=notes)
 
 
 def _occupancy(path: Path, array: np.ndarray, request: Request) -> FileContent:
