@@ -29,7 +29,7 @@ def hall(count):
 
 
 def measured(file):
-    """Seconds from the file to the corridor, the best of three, and peak memory in bytes. Run in a process of its own."""
+    """Seconds from file to corridor, the best of three, and peak memory in bytes: for a process of its own."""
     seconds = []
     for _ in range(3):
         began = time.perf_counter()
