@@ -46,7 +46,10 @@ def run_case(number: int, case: Case) -> Record:
 
 
 def run_all(count: int, seed: int, kinds: tuple[str, ...], first: int = 0) -> Iterator[Record]:
-    """Run the cases ``first`` to ``first + count``, one after another, in a process that is begun again if it dies."""
+    """Run the cases ``first`` to ``first + count``, one after another, in a process that is begun again if it dies.
+
+    Compiled programs are stored for the next process, in a folder that is removed at the end.
+    """
     number, context = first, multiprocessing.get_context("spawn")
     with tempfile.TemporaryDirectory() as cache:
         while number < first + count:
