@@ -22,8 +22,7 @@ KINDS: dict[str, tuple[float, Callable[[np.random.Generator], Case]]] = {
     "file": (0.24, clouds.file),
     "command": (0.12, commands.command),
 }
-PATIENCE, FIRST = 60.0, 900.0  # s for a case; for one that may compile
-COMPILING = 12  # cases of a process that may compile
+PATIENCE = 600.0  # s for a case, which may compile on a busy machine
 
 
 def case_of(seed: int, number: int, kinds: tuple[str, ...] = tuple(KINDS)) -> Case:
@@ -66,19 +65,17 @@ def _received(
     here: Connection, worker: Any, seed: int, number: int, kinds: tuple[str, ...]
 ) -> Iterator[Record]:
     """Records of a process, the last one of its end if that is a fault."""
-    done = 0
     while True:
-        patience = FIRST if done < COMPILING else PATIENCE
         try:
-            if here.poll(patience):
+            if here.poll(PATIENCE):
                 record = here.recv()
                 if record is None:
                     worker.join()
                     return
-                done, number = done + 1, record.number + 1
+                number = record.number + 1
                 yield record
                 continue
-            ending = Ending("hang", f"no answer in {patience:.0f} s")
+            ending = Ending("hang", f"no answer in {PATIENCE:.0f} s")
         except EOFError:
             worker.join()
             ending = Ending("crash", f"the process ended with {worker.exitcode}")
