@@ -18,7 +18,7 @@ from benchmarks.fuzz.places import hall
 from jaxscp.corridor import build_corridor, read_cloud
 
 PLANNER = jaxscp.Planner(nodes=20)
-SHAPE = {"polytopes": 8, "faces": 30, "near_points": 2048}
+SHAPE = {"polytopes": 8, "faces": 30, "near_points": 8192}
 RADIUS, BETWEEN = 0.25, 0.15  # m from points; m from surfaces that the points, 0.2 m apart, sample
 VALID_CLOUDS, VALID_FILES = 0.6, 0.3
 

@@ -255,15 +255,15 @@ def _place_findings(facts: MapReport, flight: Flight, of_file: bool) -> Iterator
         far = float(beyond.max())
         yield of_file, f"{ends} do not both lie in or near {box}: {far:.4g} m outside. {remedy}"
         return
-    if (
-        of_file
-        # A flight beside the map by more than its radius meets no wall of it; a wrong frame looks like that.
-        and np.any(np.all(sides[:, :, :2] > min(_OUTSIDE, flight.radius), axis=1))
-        and (flight.lower is None or flight.upper is None)
-    ):
+    # An end beside the map by more than the radius: nobody saw free space there, and a wrong frame looks like that.
+    beside = np.any(sides[:, :, :2] > min(_OUTSIDE, flight.radius), axis=(0, 2))
+    if of_file and beside.any() and (flight.lower is None or flight.upper is None):
+        which = (
+            "both lie" if beside.all() else f"do not both lie in it: {('start', 'goal')[int(beside[1])]} lies"
+        )
         yield (
             True,
-            f"{ends} both lie outside {box}, on one side of it. {remedy}; or state limits: lower= and "
+            f"{ends} {which} outside {box}, where nobody saw free space. {remedy}; or state limits: lower= and "
             "upper= (--lower, --upper)",
         )
         return

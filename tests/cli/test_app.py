@@ -186,7 +186,8 @@ def test_no_way_through_a_cloud_is_said_and_exits_one(wall):
 
 
 def test_a_start_on_an_obstacle_is_refused(wall):
-    on_it = ["plan", "--cloud", wall, "--start", "0.1", "2", "2", "--goal", "3", "0", "1"]
+    limits = ["--lower", "-5", "-3", "0.2", "--upper", "5", "3", "4.8"]
+    on_it = ["plan", "--cloud", wall, "--start", "0.1", "2", "2", "--goal", "3", "0", "1", *limits]
     result = invoke(*on_it)
     assert result.exit_code == 2
     assert "m from the nearest obstacle point" in " ".join(result.stderr.replace("│", " ").split())
