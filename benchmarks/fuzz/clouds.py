@@ -19,7 +19,9 @@ from jaxscp.corridor import build_corridor, read_cloud
 
 PLANNER = jaxscp.Planner(nodes=20)
 SHAPE = {"polytopes": 8, "faces": 30, "near_points": 8192}
-RADIUS, BETWEEN = 0.25, 0.15  # m from points; m from surfaces that the points, 0.2 m apart, sample
+RADIUS = 0.25  # m from points
+BETWEEN = 0.15  # m from surfaces that the points, 0.2 m apart, sample
+TOUCHING = 0.08  # m from surfaces where a mutation took points away, or beside a deck: the vehicle's radius is 0.076
 VALID_CLOUDS, VALID_FILES = 0.6, 0.3
 
 Points = np.ndarray
@@ -33,7 +35,7 @@ def cloud(rng: np.random.Generator) -> Case:
     crop = rng.random() < 0.2
     if crop:
         start[2] = goal[2] = 0.1
-    world = World(solid=solid, least=0.09 if crop else BETWEEN)
+    world = World(solid=solid, least=TOUCHING if crop or name else BETWEEN)
 
     def make():
         decks = [jaxscp.corridor.box(end - 0.4, end + 0.4) for end in (start, goal)] if crop else []
