@@ -21,7 +21,9 @@ PLANNER = jaxscp.Planner(nodes=20)
 SHAPE = {"polytopes": 8, "faces": 30, "near_points": 8192}
 RADIUS = 0.25  # m from points
 BETWEEN = 0.15  # m from surfaces that the points, 0.2 m apart, sample
-TOUCHING = 0.08  # m from surfaces where a mutation took points away, or beside a deck: the vehicle's radius is 0.076
+TOUCHING = (
+    0.08  # m from surfaces where a mutation took points away, or beside a deck: the vehicle's radius is 0.076
+)
 VALID_CLOUDS, VALID_FILES = 0.6, 0.3
 
 Points = np.ndarray

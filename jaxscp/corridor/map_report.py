@@ -258,12 +258,10 @@ def _place_findings(facts: MapReport, flight: Flight, of_file: bool) -> Iterator
     # An end beside the map by more than the radius: nobody saw free space there, and a wrong frame looks like that.
     beside = np.any(sides[:, :, :2] > min(_OUTSIDE, flight.radius), axis=(0, 2))
     if of_file and beside.any() and (flight.lower is None or flight.upper is None):
-        which = (
-            "both lie" if beside.all() else f"do not both lie in it: {('start', 'goal')[int(beside[1])]} lies"
-        )
+        which = " both lie" if beside.all() else f": {('start', 'goal')[int(beside[1])]} lies"
         yield (
             True,
-            f"{ends} {which} outside {box}, where nobody saw free space. {remedy}; or state limits: lower= and "
+            f"{ends}{which} outside {box}, where nobody saw free space. {remedy}; or state limits: lower= and "
             "upper= (--lower, --upper)",
         )
         return
