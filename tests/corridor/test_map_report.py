@@ -257,3 +257,9 @@ def test_one_end_alone_beside_the_map_is_refused(tmp_path, hall, which):
     report = map_report(cloud, *ends, 0.25, lower=[-3, -3, 0], upper=[9, 3, 3])
     assert report.accepted
     assert map_report(cloud, START, GOAL, 0.25).accepted
+
+
+def test_an_array_whose_first_column_counts_its_points_is_refused(hall):
+    assert "a number rather than x" in refused(
+        PointCloud.of(np.column_stack([np.arange(len(hall)), hall[:, :2]]))
+    )
