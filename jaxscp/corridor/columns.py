@@ -10,6 +10,8 @@ from jaxtyping import Float
 from jaxscp.corridor.file_content import CloudFileError, FileLayout
 
 _FEWEST = 5
+COUNTED = 40
+"""Rows from which a column that counts is no chance, where nothing else tells."""
 _STEADY = 0.7
 _UNITS = r"mm|cm|dm|km|m|ft|in"
 

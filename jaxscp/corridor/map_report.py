@@ -9,7 +9,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from jaxscp.corridor.clouds import PointCloud
-from jaxscp.corridor.columns import counts_points
+from jaxscp.corridor.columns import COUNTED, counts_points
 from jaxscp.corridor.extent import Triple, main_box, within
 from jaxscp.corridor.limits import Point
 from jaxscp.corridor.spacing import typical_spacing
@@ -17,7 +17,6 @@ from jaxscp.corridor.spacing import typical_spacing
 _NEAR = 5.0
 _BELOW = 0.05
 _OUTSIDE = 0.5
-_COUNTED = 40
 _TALL = 1.5
 _LEVEL = 1e-6
 _FEW = 40
@@ -194,7 +193,7 @@ def _findings(facts: MapReport, cloud: PointCloud, flight: Flight | None) -> Ite
     origin = cloud.provenance
     if origin is not None:
         yield from ((True, doubt) for doubt in origin.doubts)
-    if cloud.count >= _COUNTED and counts_points(cloud.points[:, 0]):
+    if cloud.count >= COUNTED and counts_points(cloud.points[:, 0]):
         yield (
             True,
             f"x counts the points, {cloud.points[0, 0]:g}, {cloud.points[1, 0]:g}, ...: a number rather than x?",
