@@ -1,6 +1,6 @@
 """Random inputs of every kind: scenarios, corridors, clouds, files, commands; about half of them are wrong.
 
-python -m benchmarks.fuzz --count 200 [--seed 0] [--first 0] [--kinds scenario file ...] [--json]
+python -m benchmarks.fuzz --count 200 [--seconds 7200] [--seed 0] [--first 0] [--kinds scenario file ...] [--json]
 
 Faults are a crash, a hang, an exception that is no message, NaN in a converged plan, and a converged plan that SciPy
 refutes. ``--first NUMBER --count 1`` runs one case again.
@@ -50,6 +50,7 @@ def main() -> None:
     """Run the cases, and print a table and the faults."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--count", type=int, default=200, help="cases")
+    parser.add_argument("--seconds", type=float, default=float("inf"), help="no case begins after that")
     parser.add_argument("--seed", type=int, default=0, help="of all cases")
     parser.add_argument("--first", type=int, default=0, help="number of the first case")
     parser.add_argument(
@@ -65,6 +66,8 @@ def main() -> None:
             print(*record, sep="  ", file=stream, flush=True)
         if len(records) % EVERY == 0:
             print(f"{time.perf_counter() - began:5.0f} s  {len(records)} cases", file=stream, flush=True)
+        if time.perf_counter() - began > options.seconds:
+            break
     found = summary(records, time.perf_counter() - began)
     if options.json:
         print(json.dumps(found))

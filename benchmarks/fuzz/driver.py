@@ -1,7 +1,6 @@
 """Cases in a process of their own: one that dies or hangs is a fault of its case, and the next process goes on."""
 
 import multiprocessing
-import tempfile
 import time
 import warnings
 from collections.abc import Callable, Iterator
@@ -11,7 +10,6 @@ from typing import Any
 import jax
 import numpy as np
 
-import jaxscp
 from benchmarks.fuzz import clouds, commands, flights
 from benchmarks.fuzz.case import Case, Ending, Record
 
@@ -45,20 +43,16 @@ def run_case(number: int, case: Case) -> Record:
 
 
 def run_all(count: int, seed: int, kinds: tuple[str, ...], first: int = 0) -> Iterator[Record]:
-    """Run the cases ``first`` to ``first + count``, one after another, in a process that is begun again if it dies.
-
-    Compiled programs are stored for the next process, in a folder that is removed at the end.
-    """
+    """Run the cases ``first`` to ``first + count``, one after another, in a process that is begun again if it dies."""
     number, context = first, multiprocessing.get_context("spawn")
-    with tempfile.TemporaryDirectory() as cache:
-        while number < first + count:
-            here, there = context.Pipe(duplex=False)
-            worker = context.Process(target=_work, args=(there, cache, seed, number, first + count, kinds))
-            worker.start()
-            there.close()
-            for record in _received(here, worker, seed, number, kinds):
-                yield record
-                number = record.number + 1
+    while number < first + count:
+        here, there = context.Pipe(duplex=False)
+        worker = context.Process(target=_work, args=(there, seed, number, first + count, kinds), daemon=True)
+        worker.start()
+        there.close()
+        for record in _received(here, worker, seed, number, kinds):
+            yield record
+            number = record.number + 1
 
 
 def _received(
@@ -86,9 +80,8 @@ def _received(
         return
 
 
-def _work(there: Connection, cache: str, seed: int, first: int, end: int, kinds: tuple[str, ...]) -> None:
+def _work(there: Connection, seed: int, first: int, end: int, kinds: tuple[str, ...]) -> None:
     jax.config.update("jax_enable_x64", True)
-    jaxscp.use_cache(cache)
     for number in range(first, end):
         there.send(run_case(number, case_of(seed, number, kinds)))
     there.send(None)
