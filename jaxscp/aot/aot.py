@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
+import numpy as np
 from jax.core import Tracer
 
 from jaxscp.aot.pytree_spec import Spec, difference, spec_of
@@ -125,8 +126,9 @@ class CompiledPlanner:
 
 
 def with_arrays(scenario: Checked) -> Any:
-    """A scenario whose numbers of Python and NumPy, set by ``eqx.tree_at`` say, are arrays."""
-    return jax.tree.map(as_floats, scenario)
+    """A scenario whose numbers of Python and NumPy, set by ``eqx.tree_at`` say, are arrays; masks stay masks."""
+    is_mask = lambda v: isinstance(v, np.ndarray) and v.dtype.kind == "b"  # noqa: E731
+    return jax.tree.map(lambda v: v if is_mask(v) else as_floats(v), scenario)
 
 
 def trace(

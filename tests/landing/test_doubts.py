@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import jaxscp
+from jaxscp.aot.aot import with_arrays
 from jaxscp.corridor import box, connect, obstacles_near
 from jaxscp.dynamics.airframes import paper_carrier
 from jaxscp.landing.doubts import doubts
@@ -75,3 +76,10 @@ def test_obstacles_that_are_not_known_far_enough_are_refused():
     kind = eqx.tree_at(lambda o: o.deck, near, jnp.zeros(64))
     with pytest.raises(jaxscp.InvalidScenario, match=r"near_obstacles\.deck: expected bool, got float64"):
         jaxscp.validate(dataclasses.replace(hall(), near_obstacles=kind), nodes=30)
+
+
+def test_numbers_of_numpy_are_taken_and_masks_stay_masks():
+    near = obstacles_near(hall().corridor, [[3.0, 1.2, 1.0]], 0.3)
+    given = with_arrays(jax.tree.map(np.asarray, hall(near_obstacles=near)))
+    assert given.near_obstacles.present.dtype == bool
+    jaxscp.validate(given, nodes=30)
