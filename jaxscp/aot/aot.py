@@ -98,7 +98,7 @@ class CompiledPlanner:
             InvalidScenario: if the scenario contradicts itself. In a batch, the status of that element is
                 ``invalid_input``.
             TypeError: if parts, shapes or dtypes are not those that the planner was compiled for; the message names
-                the field. The number of obstacles is free.
+                the field. The number of ``obstacles``, for pictures, is free.
         """
         scenario = with_arrays(scenario)
         self._check(scenario)
