@@ -21,8 +21,8 @@ def doubts(mission: Mission) -> tuple[str, ...]:
         >>> tube = jaxscp.corridor.connect([jaxscp.corridor.box([0.0, -0.05, 0.0], [6.0, 0.05, 2.0])])
         >>> with warnings.catch_warnings(action="ignore"):
         ...     narrow = jaxscp.scenarios.through(tube, *ends)
-        >>> doubts(narrow)[0][:70]
-        'corridor: polytope 0 leaves the centre a ball of radius 0.05 m, less th'
+        >>> doubts(narrow)[0][:62]
+        'corridor: polytope 0 leaves the centre a ball of radius 0.05 m'
     """
     values = mission.corridor, mission.obstacles, mission.near_obstacles, mission.airframe.radius
     if namespace(values) is not np or any(
