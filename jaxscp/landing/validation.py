@@ -81,6 +81,7 @@ def _expected_shapes(s: Mission):
     yield "airframe.body.gravity", s.airframe.body.gravity, (3,)
     yield "airframe.thrust_min", s.airframe.thrust_min, (rotors,)
     yield "airframe.thrust_max", s.airframe.thrust_max, (rotors,)
+    yield "airframe.radius", s.airframe.radius, ()
     for name in ("start", "goal"):
         state = getattr(s, name)
         yield f"{name}.position", state.position, (3,)

@@ -70,6 +70,13 @@ def test_obstacles_that_are_not_known_far_enough_are_refused():
         jaxscp.InvalidScenario, match=r"near_obstacles\.reach: .* 0\.05 m .*airframe\.radius, 0\.076"
     ):
         jaxscp.validate(hall(near_obstacles=near), nodes=30)
+    for where, name in (
+        (lambda s: s.airframe.radius, "airframe.radius"),
+        (lambda s: s.near_obstacles.spread, "near_obstacles.spread"),
+    ):
+        negative = eqx.tree_at(where, hall(near_obstacles=near), jnp.array(-0.1))
+        with pytest.raises(jaxscp.InvalidScenario, match=f"{name}: must not be negative"):
+            jaxscp.validate(negative, nodes=30)
     wrong = eqx.tree_at(lambda o: o.present, near, near.present[:-1])
     with pytest.raises(jaxscp.InvalidScenario, match=r"near_obstacles\.present: expected shape \(64,\)"):
         jaxscp.validate(dataclasses.replace(hall(), near_obstacles=wrong), nodes=30)
