@@ -41,6 +41,7 @@ def mutations(leaf):
 
 
 # overflow of absurd numbers in a rule is no warning for the user, who gets the rule's error
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 def test_an_error_names_the_part_that_is_wrong():
     leaves, tree = jax.tree.flatten(whole())
