@@ -15,7 +15,7 @@ class Case(NamedTuple):
     kind: str
     """``scenario``, ``corridor``, ``cloud``, ``file`` or ``command``."""
     mutation: str
-    """What was made wrong; empty for a valid input."""
+    """Mutation that made it wrong; empty for a valid input."""
     run: Callable[[], "Ending"]
 
 
@@ -25,7 +25,7 @@ class Ending(NamedTuple):
     name: str
     """``converged``, ``accepted``, ``refused`` (with a message), the name of another status, or one of ``FAULTS``."""
     detail: str = ""
-    """Message, or what the oracle found."""
+    """Message, or faults that the oracle found."""
 
 
 class Record(NamedTuple):

@@ -37,7 +37,7 @@ def run_case(number: int, case: Case) -> Record:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             ending = case.run()
-    except Exception as error:  # what the fuzzer looks for
+    except Exception as error:  # a fault, of any class
         ending = Ending("traceback", f"{type(error).__name__}: {error}")
     return Record(number, case.kind, case.mutation, *ending, time.perf_counter() - began)
 

@@ -1,4 +1,4 @@
-"""What a converged plan must keep, by SciPy alone: DOP853 from the start that was asked for, and the true obstacles.
+"""Oracle of converged plans, by SciPy alone: DOP853 from the start that was asked for, and the true obstacles.
 
 Nothing of the package runs here: its arrays are read, and equations 1 to 6 are written again in NumPy.
 """
@@ -38,7 +38,7 @@ class World(NamedTuple):
 
 
 def faults(scenario: Any, solution: Any, world: World) -> str:
-    """What is wrong with a plan that claims to have converged; empty if nothing is."""
+    """Faults of a plan that claims to have converged; empty if there is none."""
     if lost := [str(leaf.shape) for leaf in map(np.asarray, jax.tree.leaves(solution)) if _lost(leaf)]:
         return f"NaN in {len(lost)} arrays"
     path = rollout(scenario, solution)

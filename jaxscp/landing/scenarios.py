@@ -88,8 +88,8 @@ def through(
         parts: other fields of ``LandingScenario``: airframe, weights, limits, keep_out, gates, deck_velocity,
             cone_angle, dilation_min, dilation_max, start_fixed, goal_fixed, near_obstacles.
 
-    Warns of obstacle points inside the corridor, and, where no near obstacle is known, of a polytope in which no ball
-    of the vehicle's radius fits: a corridor bounds the vehicle's centre.
+    Warns of obstacle points inside the corridor. Where no near obstacle is known, also warns of a polytope in which no
+    ball of the vehicle's radius fits: a corridor bounds the vehicle's centre.
 
     Raises:
         TypeError: a scenario has no such field.
