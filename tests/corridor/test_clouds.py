@@ -189,3 +189,10 @@ def test_a_numpy_file_with_a_damaged_header_is_refused_or_read(tmp_path):
                 read_cloud(path)
             except ValueError as error:
                 assert "damaged.npy" in str(error)  # noqa: PT017
+
+
+def test_a_count_that_is_no_number_is_refused(tmp_path):
+    head = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 /\nWIDTH 1\nHEIGHT 1\nPOINTS 1\nDATA binary\n"
+    (tmp_path / "count.pcd").write_bytes(head.encode() + bytes(12))
+    with pytest.raises(CloudFileError, match=r"count\.pcd: COUNT must hold whole numbers from 1, has '/'"):
+        read_cloud(tmp_path / "count.pcd")
