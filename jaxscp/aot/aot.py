@@ -98,7 +98,7 @@ class CompiledPlanner:
             InvalidScenario: if the scenario contradicts itself. In a batch, the status of that element is
                 ``invalid_input``.
             TypeError: if parts, shapes or dtypes are not those that the planner was compiled for; the message names
-                the field. The number of obstacles is free.
+                the field. The number of ``obstacles``, for pictures, is free.
         """
         scenario = with_arrays(scenario)
         self._check(scenario)
@@ -126,8 +126,9 @@ class CompiledPlanner:
 
 
 def with_arrays(scenario: Checked) -> Any:
-    """A scenario whose numbers of Python and NumPy, set by ``eqx.tree_at`` say, are arrays."""
-    return jax.tree.map(as_floats, scenario)
+    """A scenario whose numbers of Python and NumPy, set by ``eqx.tree_at`` say, are arrays; masks stay masks."""
+    is_mask = lambda v: isinstance(v, np.ndarray) and v.dtype.kind == "b"  # noqa: E731
+    return jax.tree.map(lambda v: v if is_mask(v) else as_floats(v), scenario)
 
 
 def trace(

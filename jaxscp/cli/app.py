@@ -6,6 +6,7 @@ codes: 0 the plan converged, 1 it did not, 2 the request was wrong.
 
 import dataclasses
 import json
+import warnings
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -24,6 +25,7 @@ from jaxscp.cli.requests import CASES, CLEARANCE, JSON, MODES, RATE, MapRequest,
 from jaxscp.cli.sweep_command import SweepRequest
 from jaxscp.core.version import __version__
 from jaxscp.corridor import CorridorResult, MapReport, PointCloud, box, build_corridor, draw_map
+from jaxscp.dynamics.airframes import paper_mav
 from jaxscp.landing import scenarios
 from jaxscp.landing.mission import at_rest
 from jaxscp.landing.scenario import LandingScenario
@@ -165,7 +167,9 @@ def _scenario(request: PlanRequest, notes: Console) -> tuple[str, LandingScenari
         raise typer.Exit(1)
     pictured = jnp.asarray(points.thinned(PICTURED).points)
     ends = at_rest(request.start), at_rest(request.goal)
-    return request.cloud.name, request.changed(scenarios.through(result.corridor, *ends, pictured)), facts
+    known = {"obstacles": pictured, "near_obstacles": result.near_obstacles}
+    scenario = scenarios.through(result.corridor, *ends, **known)
+    return request.cloud.name, request.changed(scenario), facts
 
 
 def _corridor(request: PlanRequest, file: Path, notes: Console) -> tuple[PointCloud, CorridorResult]:
@@ -177,6 +181,12 @@ def _corridor(request: PlanRequest, file: Path, notes: Console) -> tuple[PointCl
     options = {"lower": request.lower, "upper": request.upper, "clearance": clearance, "remove": decks}
     with refusals(), told_warnings(Console(stderr=True)):
         points = request.read(file)
+        if request.safety_radius < (hull := float(paper_mav().radius)):
+            warnings.warn(
+                f"--radius {request.safety_radius:g} m is below the vehicle's radius, {hull:g} m: a plan so near to "
+                f"a point is not converged; give --radius {hull:g} or more",
+                stacklevel=1,
+            )
         try:
             result = build_corridor(points, first, last, request.safety_radius, **options)
         except ValueError:  # an assumption may be its cause

@@ -55,6 +55,7 @@ def report(solution: Solution, timing: Timing) -> dict[str, Any]:
         "compile_seconds": timing.compile,
         "defect": plain(certificate.defect),
         "violation": plain(certificate.violation),
+        "clearance": None if certificate.clearance is None else plain(certificate.clearance),
         "backends": solution.backends.names(),
         "optimality": None if certificate.optimality is None else plain(certificate.optimality),
         "end_error": {

@@ -7,8 +7,6 @@ bitwise. A class is known by its short name, so that it may move to another modu
 import dataclasses
 import json
 import os
-import zipfile
-import zlib
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -18,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxscp.core.arrays import PRECISION, double_precision
+from jaxscp.core.numpy_files import DAMAGED
 from jaxscp.core.status import Status, status_codes, status_names
 
 FORMAT = 1
@@ -64,15 +63,12 @@ def read(file: str | os.PathLike, part: str, classes: Iterable[type]) -> Any:
             return _Builder(archive, known).build(contents[part], part) if part in contents else None
     except _Damaged as error:
         raise ValueError(f"{file}: {error}") from error.__cause__
-    except (*_CORRUPT, TypeError) as error:
+    except DAMAGED as error:
         raise ValueError(f"{file}: not a file that save wrote, or damaged: {error}") from error
 
 
 class _Damaged(Exception):
     """Something is wrong in a file; the message names the field."""
-
-
-_CORRUPT = zipfile.BadZipFile, zlib.error, EOFError, KeyError, ValueError, NotImplementedError
 
 
 def _header(archive: Any) -> dict[str, Any]:
@@ -140,7 +136,7 @@ class _Builder:
             raise _Damaged(f"field {name!r} is missing")
         try:
             return self.archive[key]
-        except _CORRUPT as error:
+        except DAMAGED as error:
             raise _Damaged(f"field {name!r} is damaged: {error}") from error
 
     def _status(self, key: str, name: str) -> Any:

@@ -19,6 +19,7 @@ from .map_picture import draw_map as draw_map
 from .map_report import MapError as MapError
 from .map_report import MapReport as MapReport
 from .map_report import map_report as map_report
+from .obstacles import Hull as Hull
 from .obstacles import Obstacles as Obstacles
 from .obstacles import inside_corridor as inside_corridor
 from .obstacles import obstacles_near as obstacles_near

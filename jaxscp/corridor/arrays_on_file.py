@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxscp.core.numpy_files import DAMAGED
 from jaxscp.corridor.columns import chosen_columns, named_columns
 from jaxscp.corridor.file_content import CloudFileError, FileContent, Request, check_count
 from jaxscp.corridor.occupancy import FloorPlan, Voxels, floor_plan_points, voxel_points
@@ -19,7 +20,7 @@ def read_npy(path: Path, request: Request) -> FileContent:
     """
     try:
         array = np.load(path, allow_pickle=False, mmap_mode="r")
-    except (ValueError, EOFError, OSError) as error:
+    except (*DAMAGED, OSError) as error:
         raise CloudFileError(
             f"{path}: not a whole .npy file of {path.stat().st_size} bytes: {error}"
         ) from error
@@ -46,7 +47,8 @@ def read_npy(path: Path, request: Request) -> FileContent:
     table = array.reshape(-1, array.shape[-1])
     check_count(path, len(table))
     columns, notes = chosen_columns(str(path), np.asarray(table[:_SAMPLE], float), request.layout)
-    return FileContent(np.array(table[:, columns]), notes=notes)
+    whole = list(columns) == list(range(table.shape[1]))
+    return FileContent(np.array(table if whole else table[:, columns]), notes=notes)
 
 
 def _occupancy(path: Path, array: np.ndarray, request: Request) -> FileContent:

@@ -33,6 +33,7 @@ from jaxscp.corridor.extent import Triple
 from jaxscp.corridor.gaps import with_closed_gaps
 from jaxscp.corridor.limits import Limits, flyable
 from jaxscp.corridor.map_report import MapError, MapReport, map_report
+from jaxscp.corridor.obstacles import Obstacles, padded_obstacles
 from jaxscp.corridor.padding import pad as pad
 from jaxscp.corridor.polytope import Polytope
 from jaxscp.corridor.polytopes import Corridor
@@ -74,6 +75,8 @@ class CorridorResult(eqx.Module):
     """Facts about the map."""
     closed_gap: float = 0.0
     """Longest gap between neighbouring points that was closed, metres."""
+    near_obstacles: Obstacles | None = None
+    """Obstacle points near the corridor, for the scenario's certificate; None without a corridor."""
 
     @property
     def found(self) -> bool:
@@ -104,6 +107,8 @@ class CorridorOptions(eqx.Module):
     """Pad to this many by repeating the last one, with the goal as joint."""
     faces: int | None = None
     """Pad to this many rows."""
+    near_points: int | None = None
+    """Pad the obstacle points near the corridor to this many; None: to a power of two."""
     close_gaps: bool = True
     """Close gaps between neighbours on a sparse surface where the vehicle would pass."""
 
@@ -137,12 +142,12 @@ def build_corridor(
         goal: (3,) metres.
         radius: safety radius of the vehicle, metres.
         options: fields of ``CorridorOptions``: method, clearance, lower, upper, remove, voxel, longest, cell,
-            polytopes, faces, close_gaps.
+            polytopes, faces, near_points, close_gaps.
 
     Raises:
         MapError: the map contradicts its unit, its frame, or the place of the flight; a ``ValueError``.
         ValueError: start or goal is outside the limits or nearer to an obstacle than the radius. The message says
-            how near. Or more polytopes or faces are needed than ``polytopes`` or ``faces``.
+            how near. Or more polytopes, faces or points are needed than ``polytopes``, ``faces`` or ``near_points``.
         ImportError: scikit-image, of the extra ``clouds``, is not installed.
 
     Example:
@@ -162,16 +167,22 @@ def build_corridor(
     searched = {"clearance": settings.clearance, "lower": lower, "upper": upper, "cell": settings.cell}
     route = find_route(thinned, first, last, radius, **searched, decks=decks)
     if isinstance(route, NoRoute):
-        nothing = np.empty((0, 2, 3)), np.empty(0)
-        reason = f"no route: {route.reason}"
-        return CorridorResult(None, route, CorridorStatus.no_route, reason, *nothing, report, gap)
+        return _without_route(route, report, gap)
     seeds = legs(route.points, settings.longest)
     cells = _cells(settings, seeds, thinned, decks, radius, limits)
     rows, balls = without_redundant(cells.polytope, settings.clearance)
     corridor = packed(chosen(cells.polytope, rows), seeds[rows], balls[:, :3])
     status, message = _verdict(cells.left, balls[:, 3], settings.clearance, corridor.count)
     padded = pad(corridor, last, settings.polytopes, settings.faces)
-    return CorridorResult(padded, route, status, message, seeds[rows], balls[:, 3], report, gap)
+    on_deck = np.any([np.zeros(thinned.count, bool), *(deck.freed for deck in decks if deck)], axis=0)
+    reach = radius + settings.clearance
+    near = padded_obstacles(corridor, thinned, reach, on_deck, settings.near_points)
+    return CorridorResult(padded, route, status, message, seeds[rows], balls[:, 3], report, gap, near)
+
+
+def _without_route(route: NoRoute, report: MapReport, gap: float) -> CorridorResult:
+    nothing, reason = (np.empty((0, 2, 3)), np.empty(0)), f"no route: {route.reason}"
+    return CorridorResult(None, route, CorridorStatus.no_route, reason, *nothing, report, gap)
 
 
 def _accepted(report: MapReport) -> MapReport:

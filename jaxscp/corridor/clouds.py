@@ -108,11 +108,8 @@ class PointCloud(eqx.Module):
         if self.count == 0:
             return self
         order, first = _by_voxel(self.points, voxel)
-        lower, upper = np.empty((len(first), 3)), np.empty((len(first), 3))
-        for axis in range(3):
-            ordered = self.points[order, axis]
-            lower[:, axis] = np.minimum.reduceat(ordered, first)
-            upper[:, axis] = np.maximum.reduceat(ordered, first)
+        ordered = np.take(self.points, order, axis=0)
+        lower, upper = (of.reduceat(ordered, first, axis=0) for of in (np.minimum, np.maximum))
         spread = 0.5 * float(np.linalg.norm(upper - lower, axis=1).max())
         return PointCloud(0.5 * (lower + upper), self.spread + spread, self.dropped, self.provenance)
 

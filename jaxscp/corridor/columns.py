@@ -10,6 +10,8 @@ from jaxtyping import Float
 from jaxscp.corridor.file_content import CloudFileError, FileLayout
 
 _FEWEST = 5
+COUNTED = 40
+"""Rows from which a column that counts is no chance, where nothing else tells."""
 _STEADY = 0.7
 _UNITS = r"mm|cm|dm|km|m|ft|in"
 
@@ -63,6 +65,20 @@ def has_names(header: list[str]) -> bool:
     return any(all(_matching(names, p[axis]) for axis in "xyz") for p in (_NORTH_EAST_DOWN, _NAMES))
 
 
+def counts_points(column: Float[np.ndarray, "rows"]) -> bool:
+    """Whether a column is the number of each point, from 0 or 1.
+
+    Example:
+        >>> counts_points(np.arange(1.0, 60.0)), counts_points(np.linspace(0.0, 1.0, 60))
+        (True, False)
+    """
+    return (
+        column[0] in (0.0, 1.0)
+        and bool(column[1] - column[0] == 1.0)
+        and bool(np.all(np.diff(column) == 1.0))
+    )
+
+
 def chosen_columns(
     source: str, rows: Float[np.ndarray, "rows columns"], layout: FileLayout
 ) -> tuple[list[int], tuple[str, ...]]:
@@ -84,7 +100,7 @@ def chosen_columns(
         return [0, 1, 2], ()
     first = rows[:, 0]
     steps = np.diff(first)
-    if first[0] in (0.0, 1.0) and np.all(steps == 1.0):
+    if counts_points(first):
         return [1, 2, 3], ("the first column counts points; x y z are columns 2 to 4",)
     if np.all(steps > 0) and (_whole(first) or np.std(steps) < _STEADY * np.mean(steps)):
         raise CloudFileError(

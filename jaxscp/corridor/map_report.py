@@ -9,6 +9,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from jaxscp.corridor.clouds import PointCloud
+from jaxscp.corridor.columns import COUNTED, counts_points
 from jaxscp.corridor.extent import Triple, main_box, within
 from jaxscp.corridor.limits import Point
 from jaxscp.corridor.spacing import typical_spacing
@@ -108,6 +109,13 @@ class MapReport(eqx.Module):
         return "\n".join(lines)
 
 
+def _empty(cloud: PointCloud) -> tuple[str, ...]:
+    """Why a cloud without points is refused; an empty array is free space."""
+    if cloud.dropped:
+        return (f"none of its {cloud.dropped} points is finite, so that no obstacle is known",)
+    return () if cloud.provenance is None else ("the file holds no point, so that no obstacle is known",)
+
+
 def map_report(
     cloud: PointCloud | ArrayLike,
     start: Triple | None = None,
@@ -140,9 +148,8 @@ def map_report(
     origin = cloud.provenance
     source = "array" if origin is None else origin.file
     if cloud.count == 0:
-        empty = () if origin is None else ("the file holds no point, so that no obstacle is known",)
         nowhere = np.zeros(3), np.zeros(3), float("inf")
-        return MapReport(source, 0, cloud.dropped, 0, *nowhere, radius, refused=empty)
+        return MapReport(source, 0, cloud.dropped, 0, *nowhere, radius, refused=_empty(cloud))
     facts = _facts(cloud, source, radius)
     flight, inside = None, None
     if start is not None and goal is not None:
@@ -186,6 +193,11 @@ def _findings(facts: MapReport, cloud: PointCloud, flight: Flight | None) -> Ite
     origin = cloud.provenance
     if origin is not None:
         yield from ((True, doubt) for doubt in origin.doubts)
+    if cloud.count >= COUNTED and counts_points(cloud.points[:, 0]):
+        yield (
+            True,
+            f"x counts the points, {cloud.points[0, 0]:g}, {cloud.points[1, 0]:g}, ...: a number rather than x?",
+        )
     stated = origin is not None and origin.unit is not None
     length = None if flight is None else flight.length
     yield from _unit_findings(facts, length, of_file=origin is not None, stated=stated)
@@ -249,15 +261,13 @@ def _place_findings(facts: MapReport, flight: Flight, of_file: bool) -> Iterator
         far = float(beyond.max())
         yield of_file, f"{ends} do not both lie in or near {box}: {far:.4g} m outside. {remedy}"
         return
-    if (
-        of_file
-        # A flight beside the map by more than its radius meets no wall of it; a wrong frame looks like that.
-        and np.any(np.all(sides[:, :, :2] > min(_OUTSIDE, flight.radius), axis=1))
-        and (flight.lower is None or flight.upper is None)
-    ):
+    # An end beside the map by more than the radius: nobody saw free space there, and a wrong frame looks like that.
+    beside = np.any(sides[:, :, :2] > min(_OUTSIDE, flight.radius), axis=(0, 2))
+    if of_file and beside.any() and (flight.lower is None or flight.upper is None):
+        which = " both lie" if beside.all() else f": {('start', 'goal')[int(beside[1])]} lies"
         yield (
             True,
-            f"{ends} both lie outside {box}, on one side of it. {remedy}; or state limits: lower= and "
+            f"{ends}{which} outside {box}, where nobody saw free space. {remedy}; or state limits: lower= and "
             "upper= (--lower, --upper)",
         )
         return

@@ -1,4 +1,4 @@
-"""Obstacle points near a corridor, and those inside a corridor made by hand."""
+"""Obstacle points near a corridor, those inside a corridor made by hand, and the hull that flies among them."""
 
 from collections.abc import Sequence
 
@@ -6,7 +6,10 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
+from numpy.typing import ArrayLike
 
+from jaxscp.core.arrays import floats
+from jaxscp.core.types import Scalar
 from jaxscp.corridor.clouds import PointCloud
 from jaxscp.corridor.extent import within
 from jaxscp.corridor.polytope import Polytope
@@ -25,6 +28,20 @@ class Obstacles(eqx.Module):
     """False in rows that pad, (points,)."""
     deck: Bool[Array, "points"]
     """Points of a deck, which count except in the first and the last leg, (points,)."""
+    spread: Scalar
+    """How far an original point can be from the one that stands for it, metres."""
+    reach: Scalar
+    """Distance from the corridor within which every obstacle is known, metres."""
+
+
+class Hull(eqx.Module):
+    """A vehicle as a ball, and the obstacles that it must not touch."""
+
+    radius: Scalar
+    """Of the ball about the vehicle's centre, metres."""
+    obstacles: Obstacles
+    at_deck: Bool[Array, "intervals"]
+    """Intervals of the first and the last leg, where points of a deck do not count."""
 
 
 def inside_corridor(corridor: Corridor, cloud: PointCloud, margin: float = 0.0) -> Bool[np.ndarray, "points"]:
@@ -54,7 +71,7 @@ def inside_corridor(corridor: Corridor, cloud: PointCloud, margin: float = 0.0) 
 
 def obstacles_near(
     corridor: Corridor,
-    cloud: PointCloud,
+    cloud: PointCloud | ArrayLike,
     radius: float,
     *,
     decks: Sequence[Polytope] = (),
@@ -64,8 +81,8 @@ def obstacles_near(
 
     Args:
         corridor: polytopes for the vehicle's centre.
-        cloud: obstacles.
-        radius: distance from the polytopes, metres; the cloud's spread is added.
+        cloud: obstacles, or their positions as an array, (points, 3), metres.
+        radius: distance from the polytopes, metres, the vehicle's radius at least; the cloud's spread is added.
         decks: regions of the decks that start and goal stand on.
         size: number of rows; None takes the next power of two, 64 at least.
 
@@ -79,17 +96,32 @@ def obstacles_near(
         >>> near.points.shape, int(near.present.sum())
         ((64, 3), 1)
     """
-    near = cloud.chosen(inside_corridor(corridor, cloud, radius + cloud.spread))
-    size = size or max(_SMALLEST, 1 << max(near.count - 1, 0).bit_length())
-    if near.count > size:
+    cloud = PointCloud.at(cloud)
+    on_deck = np.zeros(cloud.count, bool)
+    for region in decks:
+        on_deck |= cloud.inside(region)
+    return padded_obstacles(corridor, cloud, radius, on_deck, size)
+
+
+def padded_obstacles(
+    corridor: Corridor,
+    cloud: PointCloud,
+    radius: float,
+    on_deck: Bool[np.ndarray, "points"],
+    size: int | None = None,
+) -> Obstacles:
+    """``obstacles_near``, with a mask of the points of decks."""
+    rows = inside_corridor(corridor, cloud, radius + cloud.spread)
+    count = int(np.count_nonzero(rows))
+    size = size or max(_SMALLEST, 1 << max(count - 1, 0).bit_length())
+    if count > size:
         raise ValueError(
-            f"{near.count} obstacle points are near the corridor, more than size={size}; thin the cloud"
+            f"{count} obstacle points are near the corridor, more than size={size}; thin the cloud"
         )
     points, deck = np.zeros((size, 3)), np.zeros(size, bool)
-    points[: near.count] = near.points
-    for region in decks:
-        deck[: near.count] |= near.inside(region)
-    return Obstacles(jnp.asarray(points), jnp.asarray(np.arange(size) < near.count), jnp.asarray(deck))
+    points[:count], deck[:count] = cloud.points[rows], on_deck[rows]
+    masks = jnp.asarray(np.arange(size) < count), jnp.asarray(deck)
+    return Obstacles(jnp.asarray(points), *masks, floats(cloud.spread), floats(radius))
 
 
 def _in_box(cells: list[Polytope], cloud: PointCloud, margin: float) -> Bool[np.ndarray, "points"]:

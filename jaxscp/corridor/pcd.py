@@ -93,6 +93,9 @@ def _check_types(path: Path, entries: dict[str, list[str]], fields: list[str]) -
             raise CloudFileError(
                 f"{path}: {key} must have one entry for each of FIELDS {' '.join(fields)}, has {found}"
             )
+    for count in entries.get("COUNT", []):
+        if not count.isdecimal() or int(count) < 1:
+            raise CloudFileError(f"{path}: COUNT must hold whole numbers from 1, has {count!r}")
     entries["TYPE"] = [kind.upper() for kind in entries["TYPE"]]
     for field, kind, size in zip(fields, entries["TYPE"], entries["SIZE"], strict=True):
         if kind not in _TYPES or not size.isdigit() or int(size) not in _TYPES[kind]:

@@ -28,6 +28,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscp.core.extras import of_extra
+from jaxscp.core.numpy_files import DAMAGED
 from jaxscp.corridor.arrays_on_file import read_npy
 from jaxscp.corridor.clouds import PointCloud, Provenance
 from jaxscp.corridor.conventions import metres, to_z_up
@@ -115,9 +116,20 @@ def read_cloud(
         raise CloudFileError(f"{path}: unknown kind of cloud file {path.suffix!r}; known are {known}")
     load = partial(_library, chosen.extra, path)
     library = None if chosen.library is None else load(chosen.library)
-    content = chosen.read(path, Request(library, load, spacing / scale, seed, layout or FileLayout()))
+    content = _content(chosen, path, Request(library, load, spacing / scale, seed, layout or FileLayout()))
     local = np.zeros(3) if offset is None else _offset(offset)
     return _in_metres(path, content, unit or content.unit, frame, local)
+
+
+def _content(chosen: Format, path: Path, request: Request) -> FileContent:
+    """Content of a file; an error of a library that does not name the file becomes one that does."""
+    try:
+        return chosen.read(path, request)
+    except (*DAMAGED, IndexError) as error:
+        if str(path) in str(error):
+            raise
+        why = f"{type(error).__name__}: {error}"
+        raise CloudFileError(f"{path}: damaged, or not what {path.suffix} says: {why}") from error
 
 
 def _in_metres(

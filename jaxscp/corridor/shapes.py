@@ -73,6 +73,23 @@ def volume(polytope: Polytope) -> float:
     return float(scipy.spatial.ConvexHull(corners).volume) if len(corners) else 0.0
 
 
+def inscribed_radius(polytope: Polytope) -> float:
+    """Radius in metres of the widest ball in a bounded polytope; zero where the polytope is empty.
+
+    Example:
+        >>> import jaxscp
+        >>> round(inscribed_radius(jaxscp.corridor.box([0.0, 0.0, 0.0], [1.0, 2.0, 3.0])), 9)
+        0.5
+    """
+    normals, offsets = np.asarray(polytope.normals, float), np.asarray(polytope.offsets, float)
+    deepest = _inside(normals, offsets, None)
+    if deepest is None:
+        return 0.0
+    lengths = np.linalg.norm(normals, axis=1)
+    used = lengths > 0
+    return float(np.min((offsets - normals @ deepest)[used] / lengths[used]))
+
+
 def needed_faces(polytope: Polytope, hint: ArrayLike | None = None) -> Int[np.ndarray, "needed"]:
     """Rows that are faces of the polytope: without the others it is the same set.
 

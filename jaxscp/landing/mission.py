@@ -8,10 +8,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxscp.core.arrays import as_floats, floats, namespace, unit_lengths
 from jaxscp.core.types import Points, Quaternion, Scalar, Vector3
+from jaxscp.corridor.obstacles import Hull, Obstacles
 from jaxscp.corridor.polytopes import Corridor, unit_rows
 from jaxscp.dynamics import rotations
 from jaxscp.dynamics.airframes import Airframe
@@ -149,7 +150,7 @@ def ellipsoids(centres, semi_axes) -> Ellipsoids:
     return Ellipsoids(jnp.asarray(centres), jnp.asarray(shapes))
 
 
-PARTS = Airframe, RigidBody, BodyState, Components, Corridor, Ellipsoids, FlightLimits, Weights
+PARTS = Airframe, RigidBody, BodyState, Components, Corridor, Ellipsoids, FlightLimits, Obstacles, Weights
 """Classes of a mission's fields: files name them."""
 
 
@@ -170,7 +171,7 @@ class Mission(eqx.Module):
     dilation_max: Scalar = eqx.field(converter=as_floats)
     """Greatest dt/dtau in s."""
     obstacles: Points | None = eqx.field(default=None, converter=as_floats)
-    """Point cloud in m that the corridor avoids, for pictures and checks; the solver does not use it."""
+    """Point cloud in m, for pictures alone."""
     limits: FlightLimits = eqx.field(default=FlightLimits(), converter=_limits)
     """None: no limits."""
     keep_out: Ellipsoids | None = None
@@ -183,6 +184,26 @@ class Mission(eqx.Module):
     """None: all."""
     goal_fixed: Components | None = None
     """None: all."""
+    near_obstacles: Obstacles | None = None
+    """Obstacle points that the certificate measures the hull's clearance to: ``build_corridor`` and
+    ``corridor.obstacles_near`` make them. None: no points are known."""
+
+    def hull(self, context: Int[Array, "intervals"]) -> Hull | None:
+        """The vehicle among the known obstacles; None where no points are known.
+
+        Args:
+            context: leg of the route of every interval.
+        """
+        if self.near_obstacles is None:
+            return None
+        normals, offsets = self.corridor.normals, self.corridor.offsets
+        # Padding repeats the last polytope.
+        ends = [
+            jnp.all(normals == normals[k], axis=(1, 2)) & jnp.all(offsets == offsets[k], axis=1)
+            for k in (0, -1)
+        ]
+        polytope = self.with_unit_directions().route().polytope[context]
+        return Hull(self.airframe.radius, self.near_obstacles, (ends[0] | ends[1])[polytope])
 
     def with_unit_directions(self) -> "Mission":
         """The same mission with unit normals of the corridor and unit quaternions of both ends.

@@ -34,6 +34,21 @@ def rules(s: Mission, xp):
     yield from _flight_limit_rules(s, xp)
     yield from _zone_rules(s, xp)
     yield from _component_rules(s, xp)
+    yield from _hull_rules(s)
+
+
+def _hull_rules(s: Mission):
+    """The hull is a ball, and obstacles are known as far as it reaches."""
+    radius = s.airframe.radius
+    yield Rule(radius >= 0.0, f"airframe.radius: must not be negative, got {radius} m.")
+    if s.near_obstacles is not None:
+        spread = s.near_obstacles.spread
+        yield Rule(spread >= 0.0, f"near_obstacles.spread: must not be negative, got {spread} m.")
+        yield Rule(
+            s.near_obstacles.reach >= s.airframe.radius,
+            f"near_obstacles.reach: obstacles are known up to {s.near_obstacles.reach} m from the corridor, less than "
+            f"airframe.radius, {s.airframe.radius} m. Make corridor and obstacles with this radius or a greater one.",
+        )
 
 
 def _direction_rules(s: Mission, xp):

@@ -84,7 +84,7 @@ class LandingScenario(Mission):
         return valid(self)
 
     def solver_inputs(self) -> "LandingScenario":
-        """The scenario without its obstacles, which no solver reads: any number of them shares one program."""
+        """The scenario without its obstacles for pictures: any number of them shares one program."""
         if self.obstacles is None:
             return self
         return eqx.tree_at(lambda s: s.obstacles, self, None)

@@ -4,13 +4,16 @@ The paper gives neither its clouds nor its corridors; sizes here follow its text
 obstacles, and one up to a high platform).
 """
 
+import warnings
 from typing import Any, TypedDict, Unpack
 
 import numpy as np
 
 from jaxscp.core.arrays import floats
+from jaxscp.corridor.obstacles import Obstacles
 from jaxscp.corridor.polytopes import Corridor, box, connect
 from jaxscp.dynamics.airframes import Airframe, paper_mav
+from jaxscp.landing.doubts import doubts
 from jaxscp.landing.mission import BodyState, Components, Ellipsoids, FlightLimits, Weights, at_rest
 from jaxscp.landing.scenario import LandingScenario
 
@@ -69,6 +72,7 @@ class Parts(TypedDict, total=False):
     deck_velocity: Any
     start_fixed: Components | None
     goal_fixed: Components | None
+    near_obstacles: Obstacles | None
 
 
 def through(
@@ -82,7 +86,10 @@ def through(
         goal: where it lands.
         obstacles: (points, 3) in m, for pictures.
         parts: other fields of ``LandingScenario``: airframe, weights, limits, keep_out, gates, deck_velocity,
-            cone_angle, dilation_min, dilation_max, start_fixed, goal_fixed.
+            cone_angle, dilation_min, dilation_max, start_fixed, goal_fixed, near_obstacles.
+
+    Warns of obstacle points inside the corridor. Where no near obstacle is known, also warns of a polytope in which no
+    ball of the vehicle's radius fits: a corridor bounds the vehicle's centre.
 
     Raises:
         TypeError: a scenario has no such field.
@@ -105,7 +112,12 @@ def through(
         "dilation_min": 0.5,
         "dilation_max": 20.0,
     }
-    return LandingScenario(start=start, goal=goal, corridor=corridor, obstacles=obstacles, **(paper | parts))
+    scenario = LandingScenario(
+        start=start, goal=goal, corridor=corridor, obstacles=obstacles, **(paper | parts)
+    )
+    for doubt in doubts(scenario):
+        warnings.warn(doubt, stacklevel=2)
+    return scenario
 
 
 def _mission(start: BodyState, goal: BodyState, corridor: Corridor, obstacles) -> LandingScenario:

@@ -16,6 +16,7 @@ _MAKERS = {
     "Components": "jaxscp.fixed(attitude=[1, 1, 0]), say, makes one",
     "Corridor": "jaxscp.corridor.connect(polytopes) and build_corridor make one",
     "Ellipsoids": "jaxscp.ellipsoids(centres, semi_axes) makes them",
+    "Obstacles": "jaxscp.corridor.obstacles_near(corridor, cloud, radius) makes them",
     "FlightLimits": "jaxscp.flight_limits(speed=4.0), say, makes them, and jaxscp.flight_limits() none",
     "Airframe": "jaxscp.airframes has some",
 }

@@ -12,6 +12,8 @@ from jaxscp.landing.rules import Rule, rules
 from jaxscp.landing.structure import check_parts
 from jaxscp.problem.errors import InvalidScenario
 
+_MASKS = ("near_obstacles.present", "near_obstacles.deck")
+
 
 def validate(scenario: Mission, nodes: int) -> None:
     """Raise ``InvalidScenario`` unless every rule holds. Compiles nothing.
@@ -49,10 +51,10 @@ def check_types(scenario: Mission, nodes: int) -> None:
         raise InvalidScenario(f"nodes: a flight needs at least 2 nodes, not {nodes}.")
     check_parts(scenario)
     for name, leaf in named_leaves(scenario):
-        if leaf.dtype != np.float64:
-            raise InvalidScenario(
-                f"{name}: expected float64, got {leaf.dtype}. Was the scenario built before jax_enable_x64 was set?"
-            )
+        expected = bool if name in _MASKS else np.float64
+        if leaf.dtype != expected:
+            hint = "" if expected is bool else ". Was the scenario built before jax_enable_x64 was set?"
+            raise InvalidScenario(f"{name}: expected {np.dtype(expected)}, got {leaf.dtype}{hint}")
     for name, leaf, shape in _expected_shapes(scenario):
         if tuple(leaf.shape) != shape:
             raise InvalidScenario(f"{name}: expected shape {shape}, got {tuple(leaf.shape)}.")
@@ -79,6 +81,7 @@ def _expected_shapes(s: Mission):
     yield "airframe.body.gravity", s.airframe.body.gravity, (3,)
     yield "airframe.thrust_min", s.airframe.thrust_min, (rotors,)
     yield "airframe.thrust_max", s.airframe.thrust_max, (rotors,)
+    yield "airframe.radius", s.airframe.radius, ()
     for name in ("start", "goal"):
         state = getattr(s, name)
         yield f"{name}.position", state.position, (3,)
@@ -104,6 +107,12 @@ def _expected_shapes(s: Mission):
         if getattr(s, name) is not None:
             for part in ("position", "velocity", "attitude", "body_rate"):
                 yield f"{name}.{part}", getattr(getattr(s, name), part), (3,)
+    if s.near_obstacles is not None:
+        points = s.near_obstacles.points.shape[0] if s.near_obstacles.points.ndim else 0
+        for part, shape in (("points", (points, 3)), ("present", (points,)), ("deck", (points,))):
+            yield f"near_obstacles.{part}", getattr(s.near_obstacles, part), shape
+        yield "near_obstacles.spread", s.near_obstacles.spread, ()
+        yield "near_obstacles.reach", s.near_obstacles.reach, ()
     yield "weights.control", s.weights.control, ()
     yield "weights.time", s.weights.time, ()
 

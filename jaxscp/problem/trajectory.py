@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import zipfile
 from typing import Any
 
 import equinox as eqx
@@ -13,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxscp.core.arrays import namespace
+from jaxscp.core.numpy_files import DAMAGED
 from jaxscp.core.types import Controls, Nodes, Scalar, States
 from jaxscp.dynamics.base import Dynamics
 from jaxscp.problem.errors import InvalidProblem
@@ -261,7 +261,7 @@ class Trajectory(eqx.Module):
                 missing = [name for name in names if name not in archive]
                 arrays = {name: archive[name] for name in names if name not in missing}
                 hold = tuple(archive["zero_order_hold"].tolist()) if "zero_order_hold" in archive else ()
-        except (zipfile.BadZipFile, EOFError, TypeError, ValueError) as error:
+        except DAMAGED as error:
             raise ValueError(f"{file}: not a trajectory archive (.npz): {error}") from error
         if missing:
             raise ValueError(f"{file}: missing field(s) {', '.join(missing)}")

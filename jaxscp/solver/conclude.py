@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxscp.core import batching
 from jaxscp.core.status import Status
 from jaxscp.core.types import Scalar
+from jaxscp.corridor.obstacles import Hull
 from jaxscp.problem.scaled_time import ScaledTimeProblem
 from jaxscp.problem.trajectory import Trajectory
 from jaxscp.scp.history import History
@@ -38,6 +39,7 @@ def conclude(
     result: MethodResult,
     context: Any,
     reported: Reported | None = None,
+    hull: Hull | None = None,
 ) -> Solution:
     """The solution with its certificate.
 
@@ -48,6 +50,7 @@ def conclude(
         result: of the method.
         context: of the scenario, or None.
         reported: the problem in the user's units; None if it is the one that was solved.
+        hull: the vehicle among known obstacles, in the user's units; None if there are none.
     """
     trajectory, multipliers, z = trajectory_of(problem, result.z), result.multipliers, result.z
     if reported is not None:
@@ -56,7 +59,7 @@ def conclude(
         if multipliers is not None:
             multipliers = reported.units.multipliers(problem, multipliers)
     asked = problem if reported is None else reported.problem
-    frozen = jax.lax.stop_gradient((problem, result, asked, trajectory))
+    frozen = jax.lax.stop_gradient((problem, result, asked, trajectory, hull))
     certificate = batching.in_chunks(
         lambda fixed: _certificate(method, samples, *fixed), frozen, CERTIFICATE_CHUNK
     )
@@ -99,10 +102,11 @@ def _certificate(
     result: MethodResult,
     asked: ScaledTimeProblem,
     trajectory: Trajectory,
+    hull: Hull | None,
 ) -> Certificate:
     """Certificate of a trajectory; with multipliers and a grid, its KKT residual by the verifier's integration."""
     optimality = None
     if result.multipliers is not None and method.grid is not None:
         gradient = verified_gradient(problem, result.z, result.multipliers, method.grid)
         optimality = stationarity(gradient, result.z, result.cost)
-    return certify(asked, trajectory, samples, optimality)
+    return certify(asked, trajectory, samples, optimality, hull)

@@ -130,7 +130,7 @@ class Pipeline(eqx.Module):
 
     def setup(self, scenario: Scenario) -> tuple[ScaledTimeProblem, Any, Any]:
         """Problem over scaled time, first node variables and context: the inputs of the iterations."""
-        _, problem, z, (_, context) = _inputs(self, scenario)
+        _, problem, z, (_, context, _) = _inputs(self, scenario)
         return problem, z, context
 
     def nodes_for(self, scenario: Scenario) -> int:
@@ -171,7 +171,7 @@ class Pipeline(eqx.Module):
 
 
 def _inputs(pipeline: Pipeline, scenario: Scenario, context: Any = None, plan: Trajectory | None = None):
-    """Inputs of the iterations, in the solver's units; and about the solution: the problem asked, and the context.
+    """Inputs of the iterations, in the solver's units; and about the solution: problem asked, context and hull.
 
     Args:
         pipeline: nodes and method.
@@ -193,7 +193,7 @@ def _inputs(pipeline: Pipeline, scenario: Scenario, context: Any = None, plan: T
         asked, _ = scenario.problem(nodes, form, context)
         reported = Reported(over_scaled_time(canonical(asked), form), units)
     z = problem.join(guess.state, guess.control, guess.dilation)
-    return scenario.valid(), problem, z, (reported, context)
+    return scenario.valid(), problem, z, (reported, context, scenario.hull(context))
 
 
 def _check_class(scenario: Any) -> None:
@@ -227,8 +227,8 @@ def _solve(pipeline: Pipeline, ok: Flag, problem: ScaledTimeProblem, z, about: A
 def _conclude(
     pipeline: Pipeline, ok: Flag, problem: ScaledTimeProblem, result: MethodResult, about: Any
 ) -> Solution:
-    reported, context = about
-    solution = conclude(pipeline.method, pipeline.samples, problem, result, context, reported)
+    reported, context, hull = about
+    solution = conclude(pipeline.method, pipeline.samples, problem, result, context, reported, hull)
     return _undefined_unless(ok, solution)
 
 

@@ -54,6 +54,10 @@ class Request(eqx.Module):
         """The guess, with a time that the problem allows."""
         return _in_time(self.asked, self.start)
 
+    def hull(self, context: Any) -> None:
+        """None: constraints and checks of the problem state all that is known."""
+        return
+
     def warm_guess(self, plan: Trajectory) -> Trajectory:
         """The plan, with a time that the problem allows."""
         return _in_time(self.asked, plan)

@@ -3,6 +3,7 @@
 from typing import Any, Protocol, runtime_checkable
 
 from jaxscp.core.types import Flag, Scalar
+from jaxscp.corridor.obstacles import Hull
 from jaxscp.problem.form import Form
 from jaxscp.problem.multipliers import Multipliers
 from jaxscp.problem.problem import OptimalControlProblem
@@ -70,6 +71,10 @@ class Scenario(Protocol):
 
     def guess(self, problem: OptimalControlProblem, context: Any) -> Trajectory:
         """A trajectory to start from."""
+        ...
+
+    def hull(self, context: Any) -> Hull | None:
+        """The vehicle among known obstacles, which the certificate alone judges; None if there are none."""
         ...
 
     def warm_guess(self, plan: Trajectory) -> Trajectory:

@@ -5,6 +5,8 @@ eighth-order method at a tight tolerance. The constraints are then evaluated on 
 Every row has the name and the unit that the problem gives it.
 """
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -12,13 +14,16 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxscp.core.types import Scalar
+from jaxscp.corridor.obstacles import Hull
 from jaxscp.problem.canonical import canonical
+from jaxscp.problem.constraint import DISTANCE_TOLERANCE
 from jaxscp.problem.form import Continuous
 from jaxscp.problem.lowering import over_scaled_time
 from jaxscp.problem.problem import OptimalControlProblem
 from jaxscp.problem.scaled_time import PathConstraint, ScaledTimeProblem
 from jaxscp.problem.sizes import end_tolerances
 from jaxscp.problem.trajectory import Trajectory
+from jaxscp.verification.clearance import clearance
 from jaxscp.verification.report import report
 from jaxscp.verification.rollout import Rollout, rollout
 
@@ -26,7 +31,7 @@ OPTIMALITY_TOLERANCE = 0.3  # KKT residual; converged solutions have about 0.01
 
 
 class Certificate(eqx.Module):
-    """Errors and violations of a solution; zero or positive, in the unit of each row.
+    """Errors and violations of a solution; zero or positive, in the unit of each row. A hull has a clearance, too.
 
     All values are infinite if the integration fails.
     """
@@ -50,6 +55,9 @@ class Certificate(eqx.Module):
     end_names: tuple[str, ...] = eqx.field(static=True)
     """``"initial position"``, say."""
     end_units: tuple[str, ...] = eqx.field(static=True)
+    clearance: Scalar | None = None
+    """Distance of the hull to the nearest obstacle point over the whole path, at least, in metres; negative where a
+    point is in the hull, and minus infinity if the integration fails. None if no obstacles are known."""
 
     @property
     def violation(self) -> Scalar:
@@ -68,21 +76,25 @@ class Certificate(eqx.Module):
         return self.end_errors[..., self.end_names.index(name)]
 
     def passed(self, between_nodes: bool = True) -> Bool[Array, "*batch"]:
-        """Whether each solution is good enough: ends, constraints and optimality within their tolerances.
+        """Whether each solution is good enough: ends, constraints, clearance and optimality within their tolerances.
 
         Args:
             between_nodes: whether constraints count; a method that enforces them only at nodes claims less.
         """
         good = jnp.all(self.end_errors <= self.end_tolerances, axis=-1)
+        if self.clearance is not None:
+            good &= self.clearance >= -DISTANCE_TOLERANCE
         if self.optimality is not None:
             good &= self.optimality <= OPTIMALITY_TOLERANCE
         return good & jnp.all(self.between_nodes <= self.allowed, axis=-1) if between_nodes else good
 
     def largest_row(self) -> str:
         """The row that is furthest beyond its tolerance, in words; empty if none is. For one solution, not a batch."""
-        names = (*self.end_names, *self.names)
-        values = np.concatenate([self.end_errors, self.between_nodes])
-        ratios = np.nan_to_num(values / np.concatenate([self.end_tolerances, self.allowed]), posinf=np.inf)
+        names = (*self.end_names, *self.names, "clearance")
+        overlap = 0.0 if self.clearance is None else max(-float(self.clearance), 0.0)
+        values = np.concatenate([self.end_errors, self.between_nodes, [overlap]])
+        allowed = np.concatenate([self.end_tolerances, self.allowed, [DISTANCE_TOLERANCE]])
+        ratios = np.nan_to_num(values / allowed, posinf=np.inf)
         if not (ratios > 1.0).any():
             return ""
         row = int(np.argmax(ratios))
@@ -98,6 +110,7 @@ def certify(
     trajectory: Trajectory,
     samples: int = 200,
     optimality: Scalar | None = None,
+    hull: Hull | None = None,
 ) -> Certificate:
     """Certificate of a trajectory for its problem.
 
@@ -106,6 +119,7 @@ def certify(
         trajectory: the solution; only its controls, its dilation and its first state are used.
         samples: points an interval at which constraints are evaluated, two at least.
         optimality: KKT residual, if the method claims an optimum.
+        hull: the vehicle among known obstacles, ``scenario.hull(solution.context)`` say.
 
     Example:
         >>> import jaxscp
@@ -118,12 +132,16 @@ def certify(
     if isinstance(problem, OptimalControlProblem):
         plan = trajectory.with_dynamics(None)
         stated = over_scaled_time(canonical(problem), Continuous(), plan)
-        return _compiled(stated, plan, samples, optimality)
-    return _certificate(problem, trajectory, samples, optimality)
+        return _compiled(stated, plan, samples, optimality, hull)
+    return _certificate(problem, trajectory, samples, optimality, hull)
 
 
 def _certificate(
-    problem: ScaledTimeProblem, trajectory: Trajectory, samples: int, optimality: Scalar | None
+    problem: ScaledTimeProblem,
+    trajectory: Trajectory,
+    samples: int,
+    optimality: Scalar | None,
+    hull: Hull | None,
 ) -> Certificate:
     integrated = rollout(problem, trajectory, samples)
     defect = jnp.max(jnp.linalg.norm(integrated.state[:, -1] - trajectory.state[1:], axis=-1))
@@ -142,7 +160,12 @@ def _certificate(
         end_names=tuple(name for name, *_ in ends),
         end_units=tuple(unit for _, unit, *_ in ends),
     )
-    return jax.tree.map(lambda v: jnp.where(jnp.isnan(v), jnp.inf, v), certificate)
+    certificate = jax.tree.map(lambda v: jnp.where(jnp.isnan(v), jnp.inf, v), certificate)
+    return (
+        certificate
+        if hull is None
+        else dataclasses.replace(certificate, clearance=clearance(hull, integrated))
+    )
 
 
 _compiled = eqx.filter_jit(_certificate)

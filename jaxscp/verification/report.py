@@ -24,6 +24,9 @@ def report(certificate: Any) -> str:
     ):
         value, where = _worst(between)
         lines.append(f"{name:<{width}}  violated by {_worst(nodes)[0]} at nodes, {value} between{where}")
+    if certificate.clearance is not None:
+        value, where = _worst(certificate.clearance, sign=-1.0)
+        lines.append(f"{'clearance':<{width}}  {value} m or more from the hull to obstacles{where}")
     lines.append("largest defect {}{}".format(*_worst(certificate.defect)))
     if certificate.optimality is not None:
         lines.append("KKT residual {}, relative to the cost{}".format(*_worst(certificate.optimality)))
@@ -35,12 +38,12 @@ def _rows(values: Any) -> np.ndarray:
     return np.moveaxis(np.asarray(values), -1, 0)
 
 
-def _worst(values: Any) -> tuple[str, str]:
-    """The largest value, and the element that has it; nothing of elements that are NaN, which are invalid."""
+def _worst(values: Any, sign: float = 1.0) -> tuple[str, str]:
+    """The largest value, or the least for the sign -1, and the element that has it; invalid elements are NaN."""
     values = np.asarray(values)
     if values.ndim == 0:
         return f"{values:.3g}", ""
-    known = np.where(np.isnan(values), -np.inf, values)
+    known = np.where(np.isnan(values), -np.inf, sign * values)
     if not np.any(np.isfinite(known) | (known == np.inf)):
         return "nan", ""
     where = np.unravel_index(np.argmax(known), known.shape)

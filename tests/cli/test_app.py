@@ -66,6 +66,9 @@ def test_json_names_what_was_asked_and_what_came_of_it(facts):
     assert facts["violation"] == max(c["between_nodes"] for c in facts["constraints"].values())
 
 
+_NONE = ("optimality", "clearance", "info")  # the paper's mode claims no optimum; a case knows no obstacle
+
+
 def test_json_numbers_are_finite(facts):
     def numbers(value):
         if isinstance(value, dict):
@@ -76,10 +79,8 @@ def test_json_numbers_are_finite(facts):
         elif not isinstance(value, str):
             yield value
 
-    assert facts["optimality"] is None  # the paper's mode claims no optimum
-    values = list(
-        numbers({name: value for name, value in facts.items() if name not in ("optimality", "info")})
-    )
+    assert [facts[name] for name in _NONE[:2]] == [None, None]
+    values = list(numbers({name: value for name, value in facts.items() if name not in _NONE}))
     assert len(values) > 10
     assert all(isinstance(v, int | float) and math.isfinite(v) for v in values)
 
@@ -166,6 +167,7 @@ def test_a_cloud_is_flown_through(wall, tmp_path):
     assert result.exit_code == 0, result.output
     facts = json.loads(result.stdout)
     assert (facts["case"], facts["status"]) == ("wall.npy", "converged")
+    assert facts["clearance"] > 0.0
     positions = np.asarray(Trajectory.load(tmp_path / "wall.npz").state[:, :3])
     np.testing.assert_allclose(positions[[0, -1]], [[-3.0, 0.0, 1.0], [3.0, 0.0, 1.0]], atol=1e-3)
     assert np.linalg.norm(positions[:, None] - np.load(wall)[None], axis=2).min() > 0.25
@@ -184,7 +186,8 @@ def test_no_way_through_a_cloud_is_said_and_exits_one(wall):
 
 
 def test_a_start_on_an_obstacle_is_refused(wall):
-    on_it = ["plan", "--cloud", wall, "--start", "0.1", "2", "2", "--goal", "3", "0", "1"]
+    limits = ["--lower", "-5", "-3", "0.2", "--upper", "5", "3", "4.8"]
+    on_it = ["plan", "--cloud", wall, "--start", "0.1", "2", "2", "--goal", "3", "0", "1", *limits]
     result = invoke(*on_it)
     assert result.exit_code == 2
     assert "m from the nearest obstacle point" in " ".join(result.stderr.replace("│", " ").split())

@@ -175,3 +175,24 @@ def test_a_missing_library_names_the_extra(tmp_path, monkeypatch):
     monkeypatch.setattr("jaxscp.core.extras.import_module", lambda name: blocked(name))
     with pytest.raises(ImportError, match=r"jaxscp\[clouds\]"):
         read_cloud(path)
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning", "ignore::RuntimeWarning")
+def test_a_numpy_file_with_a_damaged_header_is_refused_or_read(tmp_path):
+    """The header is a Python literal: a wrong byte in it is an error of Python's parser, too."""
+    np.save(tmp_path / "whole.npy", POINTS)
+    content, path = (tmp_path / "whole.npy").read_bytes(), tmp_path / "damaged.npy"
+    for at in range(0, len(content) - POINTS.nbytes, 3):
+        for wrong in b"(['\\\n\x00\xff9":
+            path.write_bytes(content[:at] + bytes([wrong]) + content[at + 1 :])
+            try:
+                read_cloud(path)
+            except ValueError as error:
+                assert "damaged.npy" in str(error)  # noqa: PT017
+
+
+def test_a_count_that_is_no_number_is_refused(tmp_path):
+    head = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 /\nWIDTH 1\nHEIGHT 1\nPOINTS 1\nDATA binary\n"
+    (tmp_path / "count.pcd").write_bytes(head.encode() + bytes(12))
+    with pytest.raises(CloudFileError, match=r"count\.pcd: COUNT must hold whole numbers from 1, has '/'"):
+        read_cloud(tmp_path / "count.pcd")

@@ -6,6 +6,7 @@ import pytest
 
 from jaxscp.corridor import PointCloud, box, build_corridor
 from jaxscp.corridor.decks import split_decks
+from jaxscp.corridor.search_space import nearest_on_segment
 
 from .conftest import GOAL, START, depth_in_solid
 
@@ -23,7 +24,20 @@ def planned(points, start, goal, crop):
     assert result.corridor is not None
     for place, k in ((start, 0), (goal, -1)):
         assert float(result.corridor.clearance(jnp.asarray(place, float))[k]) >= -1e-9
+    assert least_distance(result) >= 0.25 - 1e-6
     return result
+
+
+def least_distance(result):
+    """From the legs to the obstacle points that a certificate counts there, less the cloud's spread."""
+    near, last = result.near_obstacles, len(result.seeds) - 1
+    found = []
+    for leg, segment in enumerate(result.seeds):
+        counts = np.asarray(near.present & ~(near.deck & (leg in (0, last))))
+        points = np.asarray(near.points)[counts]
+        nearest = nearest_on_segment(points, *segment)
+        found.append(np.linalg.norm(points - nearest, axis=1).min(initial=np.inf))
+    return min(found) - float(near.spread)
 
 
 def lowest(corridor):

@@ -76,7 +76,7 @@ def test_a_map_elsewhere_is_refused_with_both_boxes(tmp_path, hall, offset):
 
 def test_both_ends_on_one_side_of_the_map_are_refused(tmp_path, hall):
     cloud = on_file(tmp_path, hall + np.array([8.0, 0.0, 0.0]))
-    assert "on one side of it" in refused(cloud)
+    assert "both lie outside the map's box" in refused(cloud)
 
 
 def test_limits_without_a_point_are_refused(tmp_path, hall):
@@ -121,6 +121,12 @@ def test_a_start_below_the_floor_is_refused_unless_limits_reach_there(tmp_path, 
 
 def test_all_points_at_one_place_are_no_map(tmp_path):
     assert "points lie at (0, 0, 0)" in refused(on_file(tmp_path, np.zeros((90, 3))), [0, 0, 1], [0.1, 0, 1])
+
+
+def test_an_array_without_one_finite_point_is_refused():
+    with pytest.warns(UserWarning, match="dropped 5 of 5"):
+        lost = PointCloud.of(np.full((5, 3), np.nan))
+    assert "none of its 5 points is finite" in refused(lost)
 
 
 def test_a_file_without_a_point_is_refused_and_an_empty_array_is_free_space(tmp_path):
@@ -240,3 +246,20 @@ def test_more_points_than_memory_should_hold_are_refused_before_they_are_read(tm
     monkeypatch.setattr("jaxscp.corridor.file_content.MOST_POINTS", 1000)
     with pytest.raises(ValueError, match=rf"{len(hall)} points, more than the 1000 that are read; thin them"):
         on_file(tmp_path, hall)
+
+
+@pytest.mark.parametrize("which", [0, 1])
+def test_one_end_alone_beside_the_map_is_refused(tmp_path, hall, which):
+    """0.6 m outside the wall at x = -1 or x = 7; from limits that are stated, the corridor may go there."""
+    cloud, ends = on_file(tmp_path, hall), [START, GOAL]
+    ends[which] = ends[which] * [0.0, 1.0, 1.0] + ([-1.6, 0.0, 0.0], [7.6, 0.0, 0.0])[which]
+    assert f"{('start', 'goal')[which]} lies outside the map's box" in refused(cloud, *ends)
+    report = map_report(cloud, *ends, 0.25, lower=[-3, -3, 0], upper=[9, 3, 3])
+    assert report.accepted
+    assert map_report(cloud, START, GOAL, 0.25).accepted
+
+
+def test_an_array_whose_first_column_counts_its_points_is_refused(hall):
+    assert "a number rather than x" in refused(
+        PointCloud.of(np.column_stack([np.arange(len(hall)), hall[:, :2]]))
+    )

@@ -1,0 +1,70 @@
+"""Doubts about the vehicle's size in its corridor: no contradiction, but likely a mistake."""
+
+import jax
+import numpy as np
+
+from jaxscp.core.arrays import namespace
+from jaxscp.corridor.clouds import PointCloud
+from jaxscp.corridor.obstacles import inside_corridor
+from jaxscp.corridor.shapes import inscribed_radius
+from jaxscp.landing.mission import Mission
+
+_ON_FACE = 1e-6  # m: a point so near to a face lies on it, and not inside
+
+
+def doubts(mission: Mission) -> tuple[str, ...]:
+    """Texts for people, each with the field and the remedy; none of a mission that is traced.
+
+    Example:
+        >>> import jaxscp, warnings
+        >>> ends = jaxscp.at_rest([1.0, 0.0, 1.0]), jaxscp.at_rest([5.0, 0.0, 1.0])
+        >>> tube = jaxscp.corridor.connect([jaxscp.corridor.box([0.0, -0.05, 0.0], [6.0, 0.05, 2.0])])
+        >>> with warnings.catch_warnings(action="ignore"):
+        ...     narrow = jaxscp.scenarios.through(tube, *ends)
+        >>> doubts(narrow)[0][:62]
+        'corridor: polytope 0 leaves the centre a ball of radius 0.05 m'
+    """
+    values = mission.corridor, mission.obstacles, mission.near_obstacles, mission.airframe.radius
+    if namespace(values) is not np or any(
+        isinstance(v, jax.ShapeDtypeStruct) for v in jax.tree.leaves(values)
+    ):
+        return ()
+    return tuple(text for text in (_points_inside(mission), _narrow(mission)) if text)
+
+
+def _points_inside(mission: Mission) -> str:
+    """Obstacle points in the corridor; of the known ones, or of those for pictures."""
+    known = mission.near_obstacles
+    if known is not None:
+        points = np.asarray(known.points)[np.asarray(known.present & ~known.deck)]
+    elif mission.obstacles is not None:
+        points = np.asarray(mission.obstacles)
+    else:
+        return ""
+    inside = inside_corridor(mission.corridor, PointCloud(points), -_ON_FACE)
+    if not inside.any():
+        return ""
+    x, y, z = points[np.argmax(inside)]
+    text = f"{inside.sum()} points lie inside the corridor, one at ({x:.3g}, {y:.3g}, {z:.3g}) m"
+    if known is not None:
+        return f"near_obstacles: {text}: a plan whose hull touches one is not converged; move the corridor's faces off"
+    return (
+        f"obstacles: {text}, and the vehicle may fly through them. Give through(..., near_obstacles=corridor."
+        "obstacles_near(corridor, points, radius)), so that such a plan is not converged, or use build_corridor"
+    )
+
+
+def _narrow(mission: Mission) -> str:
+    """A polytope in which no ball of the vehicle's radius fits, where no obstacle is known."""
+    radius = float(mission.airframe.radius)
+    if mission.near_obstacles is not None:
+        return ""
+    for number, cell in enumerate(mission.corridor.distinct()):
+        widest = inscribed_radius(cell)
+        if widest < radius:
+            return (
+                f"corridor: polytope {number} leaves the centre a ball of radius {widest:.3g} m, less than "
+                f"airframe.radius, {radius:.3g} m. A corridor bounds the centre: if its faces are walls, use "
+                f"connect(..., margin={radius:.3g}); if they keep that distance, give near_obstacles"
+            )
+    return ""
