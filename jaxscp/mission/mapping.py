@@ -5,11 +5,15 @@ from jaxtyping import Float
 
 from jaxscp.corridor import PointCloud
 
-Points = Float[np.ndarray, "points 3"]
+Points = Float[np.ndarray, "_ 3"]
 
-_VOXEL = 0.1
-_NEAREST = 0.3  # m: returns of the vehicle itself and of leaves beside it
-_LEAST = 2  # returns in a voxel that stand for an obstacle, where leaves cause false ones
+_NEAREST = 0.5  # m: returns of leaves beside the vehicle; obstacles were seen from afar
+_NEAR, _MANY, _FEW = (
+    4.0,
+    4,
+    3,
+)  # m; returns, itself included, that make an obstacle nearer and farther than that
+_SPACING = 0.15, 0.05  # m, and m for each metre of distance: in which its neighbours lie
 
 
 class RecentMap:
@@ -46,7 +50,7 @@ class RecentMap:
             self._way += float(np.linalg.norm(place - self._last))
         self._last = place
         far = np.linalg.norm(points - place, axis=1) > _NEAREST
-        self._scans.append((self._way, self._denoised(points[far])))
+        self._scans.append((self._way, self._denoised(points[far], place)))
         self._scans = [scan for scan in self._scans if self._way - scan[0] <= self.memory]
 
     def cloud(self) -> PointCloud:
@@ -58,13 +62,16 @@ class RecentMap:
         """Points of the last scan."""
         return self._scans[-1][1] if self._scans else np.zeros((0, 3))
 
-    def _denoised(self, points: Points) -> Points:
-        """The points without those that are alone in their voxel and its neighbours."""
+    def _denoised(self, points: Points, place: Float[np.ndarray, "3"]) -> Points:
+        """The points without those that are nearly alone: single leaves."""
         if not self.denoise or not len(points):
             return points
-        cells = np.floor(points / (4.0 * _VOXEL)).astype(np.int64)
-        _, inverse, counts = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
-        return points[counts[inverse.ravel()] >= _LEAST]
+        from scipy.spatial import cKDTree
+
+        distance = np.linalg.norm(points - place, axis=1)
+        tree = cKDTree(points)
+        around = tree.query_ball_point(points, _SPACING[0] + _SPACING[1] * distance, return_length=True)
+        return points[around >= np.where(distance < _NEAR, _MANY, _FEW)]
 
 
 def in_odometry_frame(

@@ -93,7 +93,8 @@ class Pilot(eqx.Module):
         since = jnp.where(changed, time, state.since)
         target = targets.advance(self.rules, phase, state.target, observation, changed)
         reached = jnp.where(targets.reached(self.rules, phase, target, observation), state.reached, time)
-        attempts = state.attempts + (changed & (phase == Phase.approach))
+        begun = changed & (phase == int(Phase.approach))
+        attempts = jnp.where(begun, state.attempts + 1, state.attempts)
         controller, command = self._thrusts(state, phase, target, observation, time)
         new = PilotState(
             phase,
@@ -131,13 +132,13 @@ class Pilot(eqx.Module):
         self, state: PilotState, phase: Array, target: Target, observation: Observation, time: Array
     ) -> tuple[NMPCState, Float[Array, "rotors"]]:
         """The controller's thrusts in the air; on the deck the least thrust, or thrust that rises."""
-        cruise = phase == Phase.cruise
+        cruise = phase == int(Phase.cruise)
         reference = targets.window(state.plan, self.still, target, cruise, time)
         memory, command = self.nmpc(reference, state.controller, observation.state(), time)
         least = self.airframe.thrust_min
         rising = jnp.minimum(state.command + self.rules.spool_rate * CONTROL, self.nmpc.actuators.upper)
-        spooling = phase == Phase.spool_up
-        off = (phase == Phase.on_deck) | (phase == Phase.touch_down) | (phase == Phase.landed)
+        spooling = phase == int(Phase.spool_up)
+        off = (phase == int(Phase.on_deck)) | (phase == int(Phase.touch_down)) | (phase == int(Phase.landed))
         open_loop = jnp.where(spooling, rising, least)
         command = jnp.where(spooling | off, open_loop, command)
         # contact is no disturbance of the flight: on the deck the controller's memory begins anew

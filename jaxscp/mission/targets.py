@@ -108,7 +108,7 @@ def window(plan: Reference, still: Reference, target: Target, cruise: Flag, time
         cruise: which of both.
         time: s, now.
     """
-    later = STEP * jnp.arange(COUNT)
+    later = STEP * jnp.arange(float(COUNT))
     planned, thrusts = plan.at(time + later)
     level = jnp.zeros(13).at[6].set(1.0).at[:6].set(jnp.concatenate([target.position, target.velocity]))
     moving = level + later[:, None] * jnp.zeros(13).at[:3].set(target.velocity)
