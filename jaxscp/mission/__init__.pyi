@@ -4,6 +4,8 @@ from .cases import Case as Case
 from .cases import Choices as Choices
 from .cases import draw_case as draw_case
 from .fields import FIELDS as FIELDS
+from .fields import INDOOR as INDOOR
+from .fields import OUTDOOR as OUTDOOR
 from .fields import Field as Field
 from .mission import Mission as Mission
 from .mission import run_mission as run_mission

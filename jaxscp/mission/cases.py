@@ -1,6 +1,7 @@
 """Cases of missions, drawn from a seed: obstacles, goal, vehicle, air and the motion of the deck."""
 
 import dataclasses
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -71,8 +72,8 @@ def draw_case(name: str, seed: int, choices: Choices | None = None) -> Case:
     return Case(world, with_walls(scene, field) if field.walls else scene, lidar, goal, keys[5], field)
 
 
-def _world(field: Field, keys: PRNGKeyArray, choices: Choices) -> World:
-    vehicle, air, motion = keys
+def _world(field: Field, keys: Any, choices: Choices) -> World:
+    vehicle, air, motion = keys  # an array of three
     airframe = _varied(vehicle) if choices.vary else simulated_mav()
     suction, depth, speed, angle = jax.random.uniform(air, (4,))
     drawn = 1.5 + 1.4 * float(suction), 0.2 + 0.1 * float(depth)
@@ -91,7 +92,7 @@ def _world(field: Field, keys: PRNGKeyArray, choices: Choices) -> World:
     yaw_rate = 0.2 * (2.0 * float(turn) - 1.0) * float(deck_speed > 0.0)
     # the carrier waits until the landing: ``sent_off`` sets the time
     never = Course(field.home, velocity, yaw_rate, departure=1e4, duration=6.0 / max(deck_speed, 0.25))
-    return eqx.tree_at(lambda w: w.course, world, never)
+    return eqx.tree_at(lambda w: w.course, world, jax.tree.map(jnp.asarray, never))
 
 
 def sent_off(world: World, time: Scalar) -> World:

@@ -1,16 +1,17 @@
 """The commander: scans, plans and orders between parts of a flight. It lives on the host and sees no truth."""
 
 import enum
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
-from jaxscp.mission.craft import CHUNK, Craft
+from jaxscp.corridor import PointCloud
 from jaxscp.mission.fields import Field
-from jaxscp.mission.mapping import RecentMap
+from jaxscp.mission.mapping import Points, RecentMap
 from jaxscp.mission.phases import Phase
 from jaxscp.mission.pilot import SAMPLES
-from jaxscp.mission.planning import MissionPlanner, Planned, clearance
+from jaxscp.mission.planning import Planned, clearance
 from jaxscp.simulation.vehicles import FEET_DEPTH
 
 MEMORY = 12.0  # m of the way after which a scan is forgotten
@@ -21,7 +22,51 @@ _LATENCY = 0.1  # s from an order to the begin of a plan
 _STOPPING = 0.35  # s of the plan that a stop still takes
 _ARRIVED = 0.5  # m
 _FAILURES = 6  # looks without a plan before a task is given up
+_REST = 2  # parts of the flight after its end
 _ABOVE_GROUND = 0.4  # m: lower points are the ground
+
+
+@runtime_checkable
+class Vehicle(Protocol):
+    """What a commander sees of a vehicle: estimates, scans and the pilot's memory. ``Craft`` is one."""
+
+    pilot: Any
+    phase: Any
+    time: float
+    memory: Any
+
+    def state(self) -> Float[np.ndarray, "13"]:
+        """Estimated state."""
+        ...
+
+    def deck(self) -> Float[np.ndarray, "3"]:
+        """Estimated centre of the deck's surface, m."""
+        ...
+
+    def scan(self) -> Points:
+        """Points of one scan in the frame of the odometry, m."""
+        ...
+
+    def order(self, memory: Any) -> None:
+        """Give the pilot a changed memory."""
+        ...
+
+    def call_carrier(self) -> None:
+        """Tell the carrier that the landing begins."""
+        ...
+
+    def advance(self) -> None:
+        """A part of the flight."""
+        ...
+
+
+@runtime_checkable
+class Plans(Protocol):
+    """Makes plans; ``MissionPlanner`` does."""
+
+    def plan(self, cloud: PointCloud, start: Any, goal: Any, deck: Any) -> Planned:
+        """A plan from rest to rest."""
+        ...
 
 
 class Task(enum.Enum):
@@ -45,9 +90,7 @@ class Commander:
         goal: in the world at the start, m.
     """
 
-    def __init__(
-        self, craft: Craft, planner: MissionPlanner, field: Field, goal: Float[np.ndarray, "3"]
-    ) -> None:
+    def __init__(self, craft: Vehicle, planner: Plans, field: Field, goal: Float[np.ndarray, "3"]) -> None:
         self.craft, self.planner, self.field = craft, planner, field
         self.goal, self.task = np.asarray(goal), Task.out
         self.map = RecentMap(MEMORY, denoise=field.leaves > 0.0)
@@ -112,10 +155,10 @@ class Commander:
 
 
 def carry_out(commander: Commander, time_limit: float = 150.0) -> None:
-    """Fly until the mission is done, and a second longer."""
+    """Fly until the mission is done, and two parts longer."""
     craft = commander.craft
     while commander.task != Task.done and craft.time < time_limit:
         craft.advance()
         commander.look()
-    for _ in range(int(1.0 / CHUNK)):
+    for _ in range(_REST):
         craft.advance()

@@ -1,5 +1,7 @@
 """The simulated vehicle as a mission may use it, and the truth as a record for the assessment."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -41,8 +43,8 @@ class Craft:
         self._case = case
         self.pilot = pilot or nominal_pilot()
         self._sensors = sensors or Sensors()
-        self._loop = _begin(case.world, self._sensors, self.pilot, case.key)
-        self._world = case.world
+        self._world = _strong(case.world)
+        self._loop = _strong(_begin(self._world, self._sensors, self.pilot, case.key))
         self._scans = 0
         self.record = Record()
 
@@ -78,11 +80,11 @@ class Craft:
 
     def order(self, memory: PilotState) -> None:
         """Give the pilot a changed memory: a plan, a stop, or the order to land."""
-        self._loop = eqx.tree_at(lambda loop: loop.controller, self._loop, memory)
+        self._loop = eqx.tree_at(lambda loop: loop.controller, self._loop, _strong(memory))
 
     def call_carrier(self) -> None:
         """Tell the carrier that the landing begins: it may move from now on."""
-        self._world = sent_off(self._world, self._loop.world.time)
+        self._world = _strong(sent_off(self._world, self._loop.world.time))
 
     def advance(self) -> None:
         """Half a second of flight."""
@@ -112,6 +114,11 @@ class Record:
     def distance(self) -> Float[np.ndarray, "ticks"]:
         """Distance of the vehicle's centre from the obstacles, m."""
         return np.concatenate(self._distances)
+
+
+def _strong(tree: Any) -> Any:
+    """The same arrays without weak types, which would compile another program."""
+    return jax.tree.map(lambda x: jnp.asarray(x, x.dtype) if isinstance(x, jax.Array) else x, tree)
 
 
 def nominal_pilot() -> Pilot:

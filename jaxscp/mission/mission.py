@@ -19,12 +19,9 @@ class Mission:
 
     case: Case
     commander: Commander
+    craft: Craft
+    """The vehicle, with the record of the truth."""
     outcome: Outcome
-
-    @property
-    def craft(self) -> Craft:
-        """The vehicle, with the record of the truth."""
-        return self.commander.craft
 
     def save(self, file: str | os.PathLike) -> None:
         """Write the histories at 200 Hz (.npz): vehicle, carrier, estimate, deck, thrusts, distance."""
@@ -50,4 +47,4 @@ def run_mission(name: str, seed: int, choices: Choices | None = None) -> Mission
     planner = MissionPlanner(case.field, craft.pilot.airframe)
     commander = Commander(craft, planner, case.field, np.asarray(case.goal))
     carry_out(commander)
-    return Mission(case, commander, assess(craft.record, int(craft.memory.attempts)))
+    return Mission(case, commander, craft, assess(craft.record, int(craft.memory.attempts)))

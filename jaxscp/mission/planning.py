@@ -2,6 +2,7 @@
 
 import dataclasses
 import warnings
+from typing import Any
 
 import jax
 import numpy as np
@@ -15,7 +16,6 @@ from jaxscp.landing.mission import Weights, at_rest, flight_limits
 from jaxscp.landing.scenario import LandingScenario
 from jaxscp.mission.fields import Field
 from jaxscp.planner.planner import Planner
-from jaxscp.problem.trajectory import Trajectory
 from jaxscp.scp.nodal_subproblem import NormTrustRegion
 from jaxscp.scp.ptr import PTR
 
@@ -32,7 +32,8 @@ Place = Float[np.ndarray, "3"]
 class Planned:
     """A plan, or why there is none."""
 
-    trajectory: Trajectory | None
+    trajectory: Any
+    """A ``Trajectory``, or None."""
     message: str
     corridor: CorridorResult | None = None
     radius: float = 0.0
