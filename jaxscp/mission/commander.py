@@ -31,9 +31,21 @@ class Vehicle(Protocol):
     """What a commander sees of a vehicle: estimates, scans and the pilot's memory. ``Craft`` is one."""
 
     pilot: Any
-    phase: Any
-    time: float
-    memory: Any
+
+    @property
+    def phase(self) -> Any:
+        """What the vehicle does now."""
+        ...
+
+    @property
+    def time(self) -> float:
+        """s since the begin."""
+        ...
+
+    @property
+    def memory(self) -> Any:
+        """The pilot's memory."""
+        ...
 
     def state(self) -> Float[np.ndarray, "13"]:
         """Estimated state."""

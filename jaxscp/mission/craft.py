@@ -41,10 +41,10 @@ class Craft:
 
     def __init__(self, case: Case, pilot: Pilot | None = None, sensors: Sensors | None = None) -> None:
         self._case = case
-        self.pilot = pilot or nominal_pilot()
-        self._sensors = sensors or Sensors()
-        self._world = _strong(case.world)
-        self._loop = _strong(_begin(self._world, self._sensors, self.pilot, case.key))
+        self.pilot = _placed(pilot or nominal_pilot())
+        self._sensors = _placed(sensors or Sensors())
+        self._world = _placed(case.world)
+        self._loop = _placed(_begin(self._world, self._sensors, self.pilot, case.key))
         self._scans = 0
         self.record = Record()
 
@@ -80,11 +80,11 @@ class Craft:
 
     def order(self, memory: PilotState) -> None:
         """Give the pilot a changed memory: a plan, a stop, or the order to land."""
-        self._loop = eqx.tree_at(lambda loop: loop.controller, self._loop, _strong(memory))
+        self._loop = eqx.tree_at(lambda loop: loop.controller, self._loop, _placed(memory))
 
     def call_carrier(self) -> None:
         """Tell the carrier that the landing begins: it may move from now on."""
-        self._world = _strong(sent_off(self._world, self._loop.world.time))
+        self._world = _placed(sent_off(self._world, self._loop.world.time))
 
     def advance(self) -> None:
         """Half a second of flight."""
@@ -116,9 +116,11 @@ class Record:
         return np.concatenate(self._distances)
 
 
-def _strong(tree: Any) -> Any:
-    """The same arrays without weak types, which would compile another program."""
-    return jax.tree.map(lambda x: jnp.asarray(x, x.dtype) if isinstance(x, jax.Array) else x, tree)
+def _placed(tree: Any) -> Any:
+    """The same arrays on the first device and without weak types: other ones would compile another program."""
+    device = jax.devices()[0]
+    place = lambda x: jax.device_put(jnp.asarray(x, x.dtype), device)  # noqa: E731
+    return jax.tree.map(lambda x: place(x) if isinstance(x, jax.Array) else x, tree)
 
 
 def nominal_pilot() -> Pilot:

@@ -66,10 +66,10 @@ class RecentMap:
         """The points without those that are nearly alone: single leaves."""
         if not self.denoise or not len(points):
             return points
-        from scipy.spatial import cKDTree
+        from scipy.spatial import KDTree
 
         distance = np.linalg.norm(points - place, axis=1)
-        tree = cKDTree(points)
+        tree = KDTree(points)
         around = tree.query_ball_point(points, _SPACING[0] + _SPACING[1] * distance, return_length=True)
         return points[around >= np.where(distance < _NEAR, _MANY, _FEW)]
 

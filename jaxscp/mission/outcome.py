@@ -49,7 +49,7 @@ class Outcome:
 def assess(record: Record, attempts: int) -> Outcome:
     """The outcome of a flight from its record."""
     flight, distance = record.flight(), record.distance()
-    relative, speed, tilt = _relative(flight.vehicle, flight.carrier)
+    relative, speed, tilt = _relative(np.asarray(flight.vehicle), np.asarray(flight.carrier))
     height = relative[:, 2] - DECK_HEIGHT - FEET_DEPTH
     away = np.argmax(height > _AWAY) if (height > _AWAY).any() else len(height)
     contact = np.flatnonzero((np.arange(len(height)) > away) & (height < _CONTACT) & _over(relative))

@@ -79,7 +79,7 @@ def draw_take_off(ax: Axes, mission: Mission, seconds: float = 5.0) -> Axes:
     count = int(seconds * _RATE)
     time = np.arange(1, len(flight.vehicle) + 1)[:count] / _RATE
     share = flight.thrusts[:count].sum(axis=1) / float(mission.case.world.motors.thrust_max.sum())
-    height = _heights(flight.vehicle, flight.carrier)[:count]
+    height = _heights(np.asarray(flight.vehicle), np.asarray(flight.carrier))[:count]
     ax.plot(time, height, color=BLUE, label="height over the deck [m]")
     ax.plot(time, share, color=BLACK, label="thrust / greatest thrust")
     ax.set(xlabel="time [s]", ylim=(-0.05, None))
@@ -131,7 +131,7 @@ def animation(mission: Mission, file: str | os.PathLike) -> None:
         return [artist for vehicle, carrier, _ in points for artist in (vehicle, carrier)]
 
     frames = range(0, len(flight.vehicle), _SKIP)
-    FuncAnimation(figure, show, frames=frames).save(file, writer=PillowWriter(fps=_FRAMES), dpi=70)
+    FuncAnimation(figure, show, frames=frames).save(os.fspath(file), writer=PillowWriter(fps=_FRAMES), dpi=70)
 
 
 def _heights(vehicle: Float[np.ndarray, "ticks 13"], carrier: Float[np.ndarray, "ticks 13"]) -> np.ndarray:

@@ -126,6 +126,6 @@ def clearance(points: Float[np.ndarray, "points 3"], way: Float[np.ndarray, "sam
     """Least distance in m between points and samples of a way; infinite without points."""
     if not len(points) or not len(way):
         return np.inf
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
-    return float(cKDTree(points).query(way)[0].min())
+    return float(KDTree(points).query(way)[0].min())
