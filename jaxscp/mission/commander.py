@@ -20,7 +20,6 @@ LEAST_CLEARANCE = (
 )
 _LATENCY = 0.1  # s from an order to the begin of a plan
 _STOPPING = 0.35  # s of the plan that a stop still takes
-_ARRIVED = 0.5  # m
 _FAILURES = 6  # looks without a plan before a task is given up
 _REST = 2  # parts of the flight after its end
 _ABOVE_GROUND = 0.4  # m: lower points are the ground
@@ -92,6 +91,10 @@ class Task(enum.Enum):
     done = enum.auto()
 
 
+_ARRIVED = {Task.out: 0.5, Task.back: 1.5, Task.landing: 0.0}
+"""m from the end of a task's plan; near the deck, the approach does the rest."""
+
+
 class Commander:
     """Carries a mission out: to the goal and back onto the deck.
 
@@ -123,7 +126,7 @@ class Commander:
     def _at_rest(self) -> None:
         """Choose the next task, or plan for this one."""
         here = self.craft.state()[:3]
-        if np.linalg.norm(here - self._place()) < _ARRIVED:
+        if np.linalg.norm(here - self._place()) < _ARRIVED[self.task]:
             self.failures = 0
             self.task = Task.back if self.task == Task.out else Task.landing
         if self.task == Task.landing:

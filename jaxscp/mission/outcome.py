@@ -38,8 +38,8 @@ class Outcome:
     """Between the axes of vehicle and deck at the first contact, degrees."""
     least_distance: float
     """Of the vehicle's centre from the obstacles, m."""
-    tracking: float
-    """Greatest error of the estimated position against the truth, m: drift."""
+    drift: float
+    """Greatest error of the estimated position, m."""
     duration: float
     """s"""
     where: tuple[float, float]
@@ -77,7 +77,7 @@ def assess(record: Record, attempts: int) -> Outcome:
         vertical_speed=numbers[1],
         tilt=numbers[2],
         least_distance=float(distance.min()),
-        tracking=float(np.linalg.norm((flight.vehicle - flight.estimate)[:, :3], axis=1).max()),
+        drift=float(np.linalg.norm((flight.vehicle - flight.estimate)[:, :3], axis=1).max()),
         duration=len(height) / _RATE,
         where=numbers[3],
     )
