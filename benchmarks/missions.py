@@ -39,6 +39,7 @@ def flight(name: str, seed: int) -> dict[str, Any]:
     vars_of = vars(mission.outcome)
     route = vars_of["landed"] or has_route(mission.case)
     row = {"field": name, "seed": seed, "seconds": seconds, "route": route, **vars_of}
+    row["landed"] = mission.accomplished
     return row | {"aborts": list(mission.commander.aborts)}
 
 

@@ -137,7 +137,7 @@ def sweep_command(request: SweepRequest) -> None:
 def mission_command(request: MissionRequest) -> None:
     """Fly a whole mission in simulation: start from the carrier, plan, fly, return, land on its deck.
 
-    Exit code: 0 if the vehicle landed, 1 if it did not, 2 if the request was wrong.
+    Exit code: 0 if the vehicle was at its goal and landed, 1 if not, 2 if the request was wrong.
     """
     raise typer.Exit(0 if request.run() else 1)
 

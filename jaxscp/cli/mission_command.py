@@ -51,7 +51,7 @@ class MissionRequest:
     as_json: Annotated[bool, JSON] = False
 
     def run(self) -> bool:
-        """Fly the mission, print and write what was asked for; whether the vehicle landed."""
+        """Fly the mission, print and write what was asked for; whether the vehicle was at the goal and landed."""
         if self.video is not None and self.video.suffix.lower() != ".gif":
             raise typer.BadParameter(f"{self.video} is no animation; end its name in .gif")
         check_platform()
@@ -69,7 +69,7 @@ class MissionRequest:
         else:
             Console().print(text(facts(mission, self)), markup=False, highlight=False, soft_wrap=True)
         self._write(mission)
-        return mission.outcome.landed
+        return mission.accomplished
 
     def _write(self, mission: "Mission") -> None:
         from jaxscp.mission import pictures
@@ -90,13 +90,19 @@ def facts(mission: "Mission", request: MissionRequest) -> dict[str, Any]:
     return {
         "field": request.field,
         "seed": request.seed,
-        "status": "landed" if mission.outcome.landed else "not_landed",
+        "status": _status(mission),
         "wind": wind,
         "deck_speed": deck_speed,
         **outcome,
         "aborts": mission.commander.aborts,
         "plans": [planned.message for _, planned in mission.commander.plans],
     }
+
+
+def _status(mission: "Mission") -> str:
+    if mission.accomplished:
+        return "landed"
+    return "landed_without_goal" if mission.outcome.landed else "not_landed"
 
 
 def _finite(value: Any) -> Any:

@@ -12,6 +12,9 @@ from jaxscp.mission.outcome import Outcome, assess
 from jaxscp.mission.planning import MissionPlanner
 from jaxscp.simulation import Flight
 
+GOAL_REACHED = 1.5
+"""m, true distance from the goal: the odometry may have drifted by as much."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Mission:
@@ -22,6 +25,11 @@ class Mission:
     craft: Craft
     """The vehicle, with the record of the truth."""
     outcome: Outcome
+
+    @property
+    def accomplished(self) -> bool:
+        """Whether the vehicle was at the goal, but for its drift, and landed."""
+        return self.outcome.landed and self.outcome.goal_distance < GOAL_REACHED
 
     def save(self, file: str | os.PathLike) -> None:
         """Write the histories at 200 Hz (.npz): vehicle, carrier, estimate, deck, thrusts, distance."""
@@ -47,4 +55,6 @@ def run_mission(name: str, seed: int, choices: Choices | None = None) -> Mission
     planner = MissionPlanner(case.field, craft.pilot.airframe)
     commander = Commander(craft, planner, case.field, np.asarray(case.goal))
     carry_out(commander)
-    return Mission(case, commander, craft, assess(craft.record, int(craft.memory.attempts)))
+    return Mission(
+        case, commander, craft, assess(craft.record, int(craft.memory.attempts), np.asarray(case.goal))
+    )

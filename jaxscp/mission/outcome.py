@@ -24,6 +24,8 @@ class Outcome:
 
     landed: bool
     """At rest on the deck at the end, motors off, without a collision."""
+    goal_distance: float
+    """Least distance of the true vehicle from the task's goal, m: the drift at least."""
     collision: bool
     """The hull met an obstacle, the ground or the carrier."""
     attempts: int
@@ -46,8 +48,8 @@ class Outcome:
     """Of the first contact on the deck, in its axes, m."""
 
 
-def assess(record: Record, attempts: int) -> Outcome:
-    """The outcome of a flight from its record."""
+def assess(record: Record, attempts: int, goal: Float[np.ndarray, "3"]) -> Outcome:
+    """The outcome of a flight from its record, its number of approaches and its true goal, m."""
     flight, distance = record.flight(), record.distance()
     relative, speed, tilt = _relative(np.asarray(flight.vehicle), np.asarray(flight.carrier))
     height = relative[:, 2] - DECK_HEIGHT - FEET_DEPTH
@@ -70,6 +72,7 @@ def assess(record: Record, attempts: int) -> Outcome:
         ]
     return Outcome(
         landed=bool(landed),
+        goal_distance=float(np.linalg.norm(np.asarray(flight.vehicle)[:, :3] - goal, axis=1).min()),
         collision=hit,
         attempts=attempts,
         end=record.phases[-1].name,

@@ -24,6 +24,7 @@ THRUST_RESERVE = 0.75  # of the greatest thrust, for the plan
 _TILT = 0.5  # rad
 _LEAST = 0.6  # N a rotor: attitude control keeps some thrust
 _VIRTUAL_SPACING = 0.15
+_HALVINGS = 2  # of the way, where the whole one has no plan
 _CARRIER = 0.6  # half width of the carrier as an obstacle, m
 Place = Float[np.ndarray, "3"]
 
@@ -56,7 +57,7 @@ class MissionPlanner:
         self.airframe = dataclasses.replace(airframe, thrust_max=limits[0], thrust_min=limits[1])
 
     def plan(self, cloud: PointCloud, start: Place, goal: Place, deck: Place) -> Planned:
-        """A certified plan at the widest distance that has one.
+        """A plan at the widest distance that has one, else a plan of half of the way.
 
         Args:
             cloud: obstacles in the frame of the odometry.
@@ -67,15 +68,18 @@ class MissionPlanner:
         obstacles = PointCloud.of(np.concatenate([cloud.points, carrier_points(deck)]))
         reasons = []
         for radius in self.field.radii:
-            found = self._corridor(obstacles, start, goal, radius)
-            if isinstance(found, str):
-                reasons.append(f"{radius:.2f} m: {found}")
-                continue
-            solution = self.planner(self.scenario(found, start, goal))
-            status = status_names(solution.status)
-            if status == "converged":
-                return Planned(solution.trajectory, "converged", found, radius)
-            reasons.append(f"{radius:.2f} m: {status}")
+            end = goal
+            for _ in range(_HALVINGS + 1):
+                found = self._corridor(obstacles, start, end, radius)
+                if isinstance(found, str):
+                    reasons.append(f"{radius:.2f} m: {found}")
+                    break
+                solution = self.planner(self.scenario(found, start, end))
+                status = status_names(solution.status)
+                if status == "converged":
+                    return Planned(solution.trajectory, "converged", found, radius)
+                reasons.append(f"{radius:.2f} m: {status}")
+                end = half_way(found.route)
         return Planned(None, "; ".join(reasons))
 
     def _corridor(self, cloud: PointCloud, start: Place, goal: Place, radius: float) -> CorridorResult | str:
@@ -112,6 +116,13 @@ class MissionPlanner:
             limits=flight_limits(speed=self.field.speed, tilt=_TILT),
             weights=Weights(control=1.0, time=2.0),
         )
+
+
+def half_way(route: Any) -> Place:
+    """Point at half of the length of a route, m."""
+    lengths = np.linalg.norm(np.diff(route.points, axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(lengths)])
+    return np.array([np.interp(0.5 * along[-1], along, coordinate) for coordinate in route.points.T])
 
 
 def carrier_points(deck: Place) -> Float[np.ndarray, "points 3"]:

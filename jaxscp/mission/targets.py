@@ -14,7 +14,7 @@ from jaxscp.simulation.vehicles import FEET_DEPTH
 
 STEP, COUNT = 0.02, 56  # s and samples: a horizon of one second and its delay
 _PASSED = 0.1  # m under the deck at which the target of a landing stops
-_GAIN = 4.0  # 1/s, of the target's last part of the way: it smooths the noise of the deck's estimate
+_GAIN = 8.0  # 1/s, of the target's last part of the way: it smooths the noise of the deck's estimate
 
 
 class Target(eqx.Module):
@@ -42,12 +42,19 @@ def advance(
     carried = jnp.where(over_deck, deck.velocity, 0.0)
     position = position + carried * CONTROL
     change, speed = _change(rules, phase, position, observation)
-    relative = change * jnp.minimum(_GAIN, speed / jnp.sqrt(change @ change + 1e-12))
+    # across and along the vertical apart: a slow descent does not slow the correction of its place
+    across, along = change.at[2].set(0.0), change.at[:2].set(0.0)
+    relative = _limited(across, rules.approach_speed) + _limited(along, speed)
     return Target(position + relative * CONTROL, carried + relative)
 
 
+def _limited(change: Vector3, speed: Scalar) -> Vector3:
+    """Velocity in m/s over a way in m, up to a speed."""
+    return change * jnp.minimum(_GAIN, speed / jnp.sqrt(change @ change + 1e-12))
+
+
 def _change(rules: Rules, phase, position: Vector3, observation: Observation) -> tuple[Vector3, Scalar]:
-    """Way in m from the target to the place of the phase, and the greatest speed in m/s."""
+    """Way in m from the target to the place of the phase, and the greatest vertical speed in m/s."""
     deck = observation.deck.position
     up = jnp.array([0.0, 0.0, 1.0])
     level = deck + FEET_DEPTH * up
@@ -55,7 +62,7 @@ def _change(rules: Rules, phase, position: Vector3, observation: Observation) ->
     landing = jnp.where(_inside_cone(rules, observation), landing, landing.at[2].set(position[2]))
     places = {
         Phase.climb: (level + rules.start_height * up, rules.climb_speed),
-        Phase.approach: (level + rules.approach_height * up, rules.approach_speed),
+        Phase.approach: (level + rules.approach_height * up, rules.climb_speed),
         Phase.go_around: (level + rules.approach_height * up, rules.climb_speed),
         Phase.land: (landing, descent(rules, position[2] - level[2])),
     }

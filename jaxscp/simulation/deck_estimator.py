@@ -59,8 +59,8 @@ class DeckFilter(eqx.Module):
 
     acceleration: Scalar = eqx.field(converter=as_floats, default=0.3)
     """Root of the density of the deck's acceleration, m/s^2/Hz^(1/2)."""
-    drift: Scalar = eqx.field(converter=as_floats, default=0.05)
-    """Random walk of both odometries against each other, m/s^(1/2); counts while the deck is not seen."""
+    drift: Scalar = eqx.field(converter=as_floats, default=0.045)
+    """Random walk of the odometry after a metre, on each axis, m."""
     relative_noise: Scalar = eqx.field(converter=as_floats, default=0.006)
     """Standard deviation of the deck sensor, m."""
     attitude_noise: Scalar = eqx.field(converter=as_floats, default=0.008)
@@ -94,8 +94,8 @@ class DeckFilter(eqx.Module):
         """The estimate after dt seconds; the vehicle's estimated state joins the past."""
         step = jnp.array([[1.0, dt], [0.0, 1.0]])
         noise = self.acceleration**2 * jnp.array([[dt**3 / 3.0, dt**2 / 2.0], [dt**2 / 2.0, dt]])
-        lost = deck.unseen > self.patience
-        noise = noise.at[0, 0].add(jnp.where(lost, self.drift**2 * dt, 0.0))
+        way = jnp.sqrt(vehicle[3:6] @ vehicle[3:6] + 1e-12) * dt
+        noise = noise.at[0, 0].add(self.drift**2 * way)  # the frame walks with the vehicle's odometry
         past = jnp.concatenate([deck.past, _pose(vehicle)[None]])[1:]
         covariance = step @ deck.covariance @ step.T + noise
         return DeckEstimate(step @ deck.mean, covariance, deck.attitude, deck.unseen + dt, past)
