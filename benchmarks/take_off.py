@@ -62,11 +62,11 @@ def figure(height: np.ndarray, share: np.ndarray):
     for j, (command, color) in enumerate(zip(COMMANDS, (ORANGE, BLUE), strict=True)):
         for i, style in enumerate((":", "--", "-")):
             label = f"command {command} m, F0 = {SUCTIONS[i]} N"
-            left.plot(time, height[i, j], color=color, linestyle=style, label=label)
-            right.plot(time, share[i, j], color=color, linestyle=style)
+            left.plot(time, height[i, j], color=color, linestyle=style)
+            right.plot(time, share[i, j], color=color, linestyle=style, label=label)
     left.set(xlabel="time [s]", ylabel="height over the deck [m]")
     right.set(xlabel="time [s]", ylabel="thrust / greatest thrust")
-    left.legend(**LEGEND | {"fontsize": 6})
+    right.legend(loc="lower right", **LEGEND)
     return drawn
 
 

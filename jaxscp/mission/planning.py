@@ -16,8 +16,6 @@ from jaxscp.landing.mission import Weights, at_rest, flight_limits
 from jaxscp.landing.scenario import LandingScenario
 from jaxscp.mission.fields import Field
 from jaxscp.planner.planner import Planner
-from jaxscp.scp.nodal_subproblem import NormTrustRegion
-from jaxscp.scp.ptr import PTR
 
 POLYTOPES, FACES = (8, 16), 40  # sizes that compile once each
 THRUST_RESERVE = 0.75  # of the greatest thrust, for the plan
@@ -52,7 +50,7 @@ class MissionPlanner:
 
     def __init__(self, field: Field, airframe: Airframe, planner: Planner | None = None) -> None:
         self.field = field
-        self.planner = planner or Planner(30, PTR(NormTrustRegion(10.0), virtual_weight=1000.0))
+        self.planner = planner or Planner.paper(nodes=30)
         limits = THRUST_RESERVE * airframe.thrust_max, np.full(len(airframe.thrust_max), _LEAST)
         self.airframe = dataclasses.replace(airframe, thrust_max=limits[0], thrust_min=limits[1])
 

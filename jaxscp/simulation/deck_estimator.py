@@ -22,8 +22,8 @@ class DeckEstimate(eqx.Module):
     """Last attitude that the carrier sent or that was seen."""
     unseen: Scalar
     """s since the deck was seen."""
-    past: Float[Array, "delay 7"]
-    """Poses of the vehicle as estimated, the oldest first."""
+    past: Float[Array, "poses 7"]
+    """Poses of the vehicle as estimated, the oldest first, the last of now."""
 
     @property
     def position(self) -> Vector3:
@@ -86,7 +86,7 @@ class DeckFilter(eqx.Module):
             position: centre of the deck's surface, m.
         """
         mean = jnp.stack([position, jnp.zeros(3)])
-        past = jnp.broadcast_to(_pose(vehicle), (self.delay, 7))
+        past = jnp.broadcast_to(_pose(vehicle), (self.delay + 1, 7))
         level = jnp.zeros(4).at[0].set(1.0)
         return DeckEstimate(mean, jnp.diag(jnp.array([1e-4, 1e-4])), level, jnp.zeros(()), past)
 

@@ -42,7 +42,7 @@ def run(sight, noise, key):
         count, key = inputs
         now = DT * count.astype(float)
         deck = filter_.predict(deck, vehicle_at(now), DT)
-        old = now - DT * (filter_.delay - 1)  # the newest of ``delay`` poses is of now
+        old = now - DT * filter_.delay
         relative = in_body(vehicle_at(old), deck_at(old)) + noise * jax.random.normal(key, (3,))
         deck = filter_.see(deck, relative, level, sight & (count % 3 == 0) & (count > 10))
         sent = now - filter_.message_delay
@@ -59,8 +59,7 @@ def run(sight, noise, key):
 
 def test_a_deck_in_sight_is_found_whatever_the_drift():
     deck = run(jnp.array(True), 0.0, jax.random.key(0))
-    # the filter takes a sight as ``delay`` periods old, and it is one period younger here
-    np.testing.assert_allclose(deck.position, deck_at(4.0), atol=0.01 + ROUNDING)
+    np.testing.assert_allclose(deck.position, deck_at(4.0), atol=ROUNDING)
     np.testing.assert_allclose(deck.velocity, [0.8, 0.2, 0.0], atol=ROUNDING)
     assert float(deck.unseen) < 0.03
 
@@ -76,4 +75,4 @@ def test_noise_is_averaged():
         np.asarray(run(jnp.array(True), 0.006, key).position - deck_at(4.0))
         for key in jax.random.split(jax.random.key(1), 20)
     ]
-    assert np.std(errors) < 0.004
+    assert np.sqrt(np.mean(np.square(errors))) < 0.005  # of 6 mm; the walk of the odometry forbids more
