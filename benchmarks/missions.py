@@ -26,15 +26,15 @@ TICKS = 300  # of the controller, timed
 _SPACING = 0.1  # m between points of true obstacles
 
 
-def flight(name: str, seed: int) -> dict[str, Any]:
+def flight(name: str, seed: int, wind: float | None = None) -> dict[str, Any]:
     """One flight as a row."""
     import jax
 
     jax.config.update("jax_enable_x64", True)
-    from jaxscp.mission import run_mission
+    from jaxscp.mission import Choices, run_mission
 
     began = time.perf_counter()
-    mission = run_mission(name, seed)
+    mission = run_mission(name, seed, Choices(wind=wind if name == "outdoor" else None))
     seconds = time.perf_counter() - began
     vars_of = vars(mission.outcome)
     route = vars_of["landed"] or has_route(mission.case)
@@ -137,11 +137,16 @@ def quantile(values: list[float], share: float) -> float | None:
     return float(np.quantile(values, share)) if values else None
 
 
-def fly_all(tasks: list[tuple[str, int]], workers: int, file: str | None) -> list[dict[str, Any]]:
-    """Rows of all flights, each written to a file as soon as it is there."""
-    rows = []
+def fly_all(
+    tasks: list[tuple[str, int]], workers: int, file: str | None, wind: float | None
+) -> list[dict[str, Any]]:
+    """Rows of all flights, each written to a file as soon as it is there; rows of that file count."""
+    rows = [] if file is None or not os.path.exists(file) else [json.loads(line) for line in open(file)]
+    done = {(row["field"], row["seed"]) for row in rows}
+    rows = [row for row in rows if (row["field"], row["seed"]) in set(tasks)]
+    tasks = [task for task in tasks if task not in done]
     with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
-        for future in as_completed([pool.submit(flight, *task) for task in tasks]):
+        for future in as_completed([pool.submit(flight, *task, wind) for task in tasks]):
             rows.append(future.result())
             if file is not None:
                 with open(file, "a") as out:
@@ -159,7 +164,10 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--field", choices=FIELDS, help="one field alone")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--rows", help="append a JSON line a flight to this file")
+    parser.add_argument(
+        "--rows",
+        help="append a JSON line a flight to this file; flights that it has already are not repeated",
+    )
     parser.add_argument(
         "--gpu", action="store_true", help="refused: missions plan on the host, flight by flight"
     )
@@ -169,7 +177,7 @@ def main() -> None:
     names = FIELDS if asked.field is None else (asked.field,)
     tasks = [(name, asked.first + k) for k in range(asked.flights) for name in names]
     began = time.perf_counter()
-    rows = fly_all(tasks, asked.workers, asked.rows)
+    rows = fly_all(tasks, asked.workers, asked.rows, asked.wind)
     found = summary(rows, time.perf_counter() - began, controller_times())
     if asked.json:
         print(json.dumps(found))

@@ -165,7 +165,7 @@ class Commander:
         """Where the task's plan ends."""
         if self.task == Task.out:
             return self.goal
-        height = float(self.craft.pilot.rules.approach_height) + FEET_DEPTH
+        height = float(self.craft.pilot.rules.return_height) + FEET_DEPTH
         return self.craft.deck() + np.array([0.0, 0.0, height])
 
 

@@ -71,12 +71,15 @@ def _aborts(rules: Rules, facts: Facts):
     cone = rules.greatest_error + rules.cone_floor + rules.cone_slope * jnp.maximum(facts.height, 0.0)
     outside = facts.offset > cone
     lost = facts.unseen > rules.deck_lost
+    near = (facts.offset < rules.near_deck) & ~lost
     over = (facts.wind > rules.strongest_wind) | (facts.time > rules.time_limit)
     given_up = over | (facts.attempts >= rules.attempts)
     return (
         (Phase.cruise, over, Phase.safe_hover),
         (Phase.hover, over, Phase.safe_hover),
         (Phase.approach, over, Phase.safe_hover),
+        (Phase.approach, lost & (facts.in_phase > rules.search_time), Phase.safe_hover),
+        (Phase.cruise, near & (facts.height < rules.least_height), Phase.climb),
         (Phase.cruise, facts.off_plan > rules.tracking_error, Phase.hover),
         (Phase.spool_up, facts.in_phase > 5.0, Phase.on_deck),
         (Phase.land, outside | lost, Phase.go_around),

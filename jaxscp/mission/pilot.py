@@ -91,7 +91,7 @@ class Pilot(eqx.Module):
         phase = machine.next_phase(self.rules, state.phase, facts)
         changed = phase != state.phase
         since = jnp.where(changed, time, state.since)
-        target = targets.advance(self.rules, phase, state.target, observation, changed)
+        target = targets.advance(self.rules, phase, state.target, observation, time - since)
         reached = jnp.where(targets.reached(self.rules, phase, target, observation), state.reached, time)
         begun = changed & (phase == int(Phase.approach))
         attempts = jnp.where(begun, state.attempts + 1, state.attempts)

@@ -13,6 +13,8 @@ class Rules(eqx.Module):
     """Height of the first climb, m. 0.5 m may fail against suction, see ``docs/mission.md``."""
     approach_height: Scalar = eqx.field(converter=as_floats, default=1.0)
     """Height at which the vehicle waits over the deck before it lands, m."""
+    return_height: Scalar = eqx.field(converter=as_floats, default=1.8)
+    """Height over the deck at which a plan back ends, m: the deck's place is as uncertain there as the drift."""
     climb_speed: Scalar = eqx.field(converter=as_floats, default=1.0)
     """Speed of the target in a climb, m/s."""
     approach_speed: Scalar = eqx.field(converter=as_floats, default=1.5)
@@ -23,7 +25,7 @@ class Rules(eqx.Module):
     """m/s, down to the deck."""
     fastest_descent: Scalar = eqx.field(converter=as_floats, default=0.6)
     """m/s"""
-    spool_rate: Scalar = eqx.field(converter=as_floats, default=6.0)
+    spool_rate: Scalar = eqx.field(converter=as_floats, default=4.0)
     """Rise of each rotor's thrust in spool-up, N/s."""
     lift_off: Scalar = eqx.field(converter=as_floats, default=0.02)
     """Height at which the vehicle has left the deck, m."""
@@ -45,10 +47,20 @@ class Rules(eqx.Module):
     """Height in m below which contact is assumed after ``low_time``."""
     low_time: Scalar = eqx.field(converter=as_floats, default=0.25)
     """s"""
+    search_rate: Scalar = eqx.field(converter=as_floats, default=0.12)
+    """Growth of the spiral in which an approach looks for a deck out of sight, m/s."""
+    search_turn: Scalar = eqx.field(converter=as_floats, default=1.2)
+    """Its turning rate, rad/s."""
+    search_time: Scalar = eqx.field(converter=as_floats, default=30.0)
+    """s after which an approach that found no deck is given up."""
     deck_lost: Scalar = eqx.field(converter=as_floats, default=0.4)
     """s without sight of the deck after which a landing ends."""
     tracking_error: Scalar = eqx.field(converter=as_floats, default=0.8)
     """Distance in m from the plan at which the cruise ends."""
+    least_height: Scalar = eqx.field(converter=as_floats, default=0.45)
+    """Height over a deck in sight, within ``near_deck``, at which a cruise ends in a climb, m."""
+    near_deck: Scalar = eqx.field(converter=as_floats, default=1.0)
+    """Horizontal distance from the deck's centre, m."""
     strongest_wind: Scalar = eqx.field(converter=as_floats, default=6.0)
     """Horizontal disturbance in N at which the mission is given up."""
     time_limit: Scalar = eqx.field(converter=as_floats, default=240.0)

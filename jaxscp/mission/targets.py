@@ -27,25 +27,35 @@ class Target(eqx.Module):
 
 
 def advance(
-    rules: Rules, phase: Int[Array, ""], target: Target, observation: Observation, changed: Flag
+    rules: Rules, phase: Int[Array, ""], target: Target, observation: Observation, in_phase: Scalar
 ) -> Target:
     """The target of this period.
 
     It goes to the place of the phase at a limited speed, on top of the deck's own velocity where that is its frame.
-    A phase that begins from a cruise or from the deck starts at the vehicle's own place.
+    A phase that begins from a cruise or from the deck starts at the vehicle's own place; then ``in_phase``, the s since
+    its begin, is zero.
     """
     own, deck = observation.state(), observation.deck
     here = _is(phase, Phase.on_deck, Phase.spool_up, Phase.cruise, Phase.touch_down, Phase.landed)
-    stopped = changed & _is(phase, Phase.hover, Phase.safe_hover)
+    stopped = (in_phase <= 0.0) & _is(phase, Phase.hover, Phase.safe_hover)
     position = jnp.where(here | stopped, own[:3], target.position)
     over_deck = _is(phase, Phase.climb, Phase.approach, Phase.land, Phase.go_around)
     carried = jnp.where(over_deck, deck.velocity, 0.0)
     position = position + carried * CONTROL
     change, speed = _change(rules, phase, position, observation)
+    change = change + _search(rules, phase, observation, in_phase)
     # across and along the vertical apart: a slow descent does not slow the correction of its place
     across, along = change.at[2].set(0.0), change.at[:2].set(0.0)
     relative = _limited(across, rules.approach_speed) + _limited(along, speed)
     return Target(position + relative * CONTROL, carried + relative)
+
+
+def _search(rules: Rules, phase, observation: Observation, in_phase: Scalar) -> Vector3:
+    """Offset in m on a spiral, while an approach does not see the deck."""
+    blind = _is(phase, Phase.approach) & (observation.deck.unseen > rules.deck_lost)
+    angle, radius = rules.search_turn * in_phase, rules.search_rate * in_phase
+    spiral = radius * jnp.stack([jnp.cos(angle), jnp.sin(angle), jnp.zeros_like(angle)])
+    return jnp.where(blind, spiral, 0.0)
 
 
 def _limited(change: Vector3, speed: Scalar) -> Vector3:

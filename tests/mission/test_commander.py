@@ -19,7 +19,7 @@ WALL = np.array([[5.0, y, z] for y in (9.0, 9.2) for z in (1.0, 1.2)])
 class FakePilot:
     """Orders become notes."""
 
-    rules = types.SimpleNamespace(approach_height=1.0)
+    rules = types.SimpleNamespace(return_height=1.0)
     still = types.SimpleNamespace(control=[None])
     nmpc = types.SimpleNamespace(follow=lambda trajectory, *others: trajectory)
 
