@@ -141,7 +141,10 @@ def fly_all(
     tasks: list[tuple[str, int]], workers: int, file: str | None, wind: float | None
 ) -> list[dict[str, Any]]:
     """Rows of all flights, each written to a file as soon as it is there; rows of that file count."""
-    rows = [] if file is None or not os.path.exists(file) else [json.loads(line) for line in open(file)]
+    rows = []
+    if file is not None and os.path.exists(file):
+        with open(file) as before:
+            rows = [json.loads(line) for line in before]
     done = {(row["field"], row["seed"]) for row in rows}
     rows = [row for row in rows if (row["field"], row["seed"]) in set(tasks)]
     tasks = [task for task in tasks if task not in done]
