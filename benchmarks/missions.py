@@ -168,9 +168,9 @@ def main() -> None:
     parser.add_argument("--field", choices=FIELDS, help="one field alone")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument(
-        "--rows",
-        help="append a JSON line a flight to this file; flights that it has already are not repeated",
+        "--rows", metavar="FILE", help="append a JSON line a flight; those there are not repeated"
     )
+    parser.add_argument("--wind", type=float, help="mean wind outdoors in m/s instead of 0 to 8")
     parser.add_argument(
         "--gpu", action="store_true", help="refused: missions plan on the host, flight by flight"
     )
