@@ -51,7 +51,7 @@ class MissionRequest:
     as_json: Annotated[bool, JSON] = False
 
     def run(self) -> bool:
-        """Fly the mission, print and write what was asked for; whether the vehicle was at the goal and landed."""
+        """Fly, print and write; returns whether the vehicle was at the goal and landed."""
         if self.video is not None and self.video.suffix.lower() != ".gif":
             raise typer.BadParameter(f"{self.video} is no animation; end its name in .gif")
         check_platform()
@@ -83,7 +83,7 @@ class MissionRequest:
 
 
 def facts(mission: "Mission", request: MissionRequest) -> dict[str, Any]:
-    """What the JSON object holds."""
+    """Contents of the JSON object."""
     outcome = {k: _finite(v) for k, v in dataclasses.asdict(mission.outcome).items()}
     wind = float(np.linalg.norm(np.asarray(mission.case.world.gusts.wind)))
     deck_speed = float(np.linalg.norm(np.asarray(mission.case.world.course.velocity)))

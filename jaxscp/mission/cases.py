@@ -35,7 +35,7 @@ class Case(eqx.Module):
 
 @dataclasses.dataclass(frozen=True)
 class Choices:
-    """What a user may fix instead of drawing it."""
+    """Numbers that are fixed instead of drawn."""
 
     wind: float | None = None
     """Mean wind, m/s."""
@@ -51,7 +51,7 @@ def draw_case(name: str, seed: int, choices: Choices | None = None) -> Case:
     Args:
         name: ``indoor`` or ``outdoor``.
         seed: any whole number.
-        choices: what is fixed.
+        choices: numbers that are fixed.
 
     Raises:
         ValueError: no such field.

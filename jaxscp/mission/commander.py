@@ -27,13 +27,13 @@ _ABOVE_GROUND = 0.4  # m: lower points are the ground
 
 @runtime_checkable
 class Vehicle(Protocol):
-    """What a commander sees of a vehicle: estimates, scans and the pilot's memory. ``Craft`` is one."""
+    """A vehicle for a commander: estimates, scans and the pilot's memory. ``Craft`` is one."""
 
     pilot: Any
 
     @property
     def phase(self) -> Any:
-        """What the vehicle does now."""
+        """Present phase."""
         ...
 
     @property
@@ -81,7 +81,7 @@ class Plans(Protocol):
 
 
 class Task(enum.Enum):
-    """What the commander is at."""
+    """Task of the commander."""
 
     out = enum.auto()
     """On the way to the goal."""
@@ -101,7 +101,7 @@ class Commander:
     Args:
         craft: the vehicle.
         planner: of plans.
-        field: what is known about the place.
+        field: limits and sensors of the place.
         goal: in the world at the start, m.
     """
 

@@ -35,7 +35,7 @@ class Craft:
 
     Args:
         case: world and task.
-        pilot: by default that of the nominal vehicle.
+        pilot: ``nominal_pilot()`` by default.
         sensors: by default ``Sensors()``.
     """
 
@@ -55,7 +55,7 @@ class Craft:
 
     @property
     def phase(self) -> Phase:
-        """What the vehicle does now."""
+        """Present phase."""
         return Phase(int(self.memory.phase))
 
     @property

@@ -10,7 +10,7 @@ from jaxscp.mission.rules import Rules
 
 
 class Facts(eqx.Module):
-    """What the decisions depend on; all from estimates."""
+    """Inputs of the decisions, all from estimates."""
 
     height: Scalar
     """Of the feet over the deck, m."""

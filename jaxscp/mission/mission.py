@@ -45,7 +45,7 @@ def run_mission(name: str, seed: int, choices: Choices | None = None) -> Mission
     Args:
         name: ``indoor`` or ``outdoor``.
         seed: any whole number.
-        choices: what is fixed instead of drawn.
+        choices: numbers that are fixed instead of drawn.
 
     Raises:
         ValueError: no such field.

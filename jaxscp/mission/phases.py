@@ -6,7 +6,7 @@ import numpy as np
 
 
 class Phase(IntEnum):
-    """What the vehicle does now."""
+    """Phase of the vehicle."""
 
     on_deck = 0
     """Motors at their least thrust, before the start."""

@@ -110,7 +110,7 @@ class Pilot(eqx.Module):
         return new, command
 
     def _facts(self, state: PilotState, observation: Observation, time: Array) -> Facts:
-        """What the decisions depend on."""
+        """Inputs of the decisions."""
         own, deck = observation.state(), observation.deck
         planned, _ = state.plan.at(time)
         off = own[:3] - deck.position

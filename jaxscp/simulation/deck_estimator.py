@@ -12,7 +12,7 @@ Pose = Float[Array, "7"]
 
 
 class DeckEstimate(eqx.Module):
-    """Position and velocity of the deck's surface, their covariance, and what a delayed measurement needs."""
+    """Position and velocity of the deck's surface, their covariance, and past poses for delayed sights."""
 
     mean: Float[Array, "2 3"]
     """Centre of the deck's surface in m, and its velocity in m/s; world axes of the vehicle's odometry."""

@@ -11,7 +11,7 @@ PERIODS, DT = 400, 0.01
 DRIFT = jnp.array([0.3, -0.2, 0.1])
 """m: of the carrier's frame against the vehicle's."""
 ROUNDING = 1e-3
-"""m: without noise, what the filter's transient leaves after 4 s."""
+"""m: the filter's transient after 4 s, without noise."""
 
 
 def deck_at(time):
