@@ -40,6 +40,7 @@ def flight(name: str, seed: int, wind: float | None = None) -> dict[str, Any]:
     route = vars_of["landed"] or has_route(mission.case)
     row = {"field": name, "seed": seed, "seconds": seconds, "route": route, **vars_of}
     row["landed"] = mission.accomplished
+    row["tracking_rmse"] = float(np.sqrt(np.nanmean(mission.tracking_errors() ** 2)))
     return row | {"aborts": list(mission.commander.aborts)}
 
 

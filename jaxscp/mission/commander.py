@@ -6,6 +6,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
+from jaxscp.control import Reference
 from jaxscp.corridor import PointCloud
 from jaxscp.mission.fields import Field
 from jaxscp.mission.mapping import Points, RecentMap
@@ -111,6 +112,8 @@ class Commander:
         self.map = RecentMap(MEMORY, denoise=field.leaves > 0.0)
         self.plans: list[tuple[float, Planned]] = []
         """Time in s, and each plan that was asked for."""
+        self.references: list[Reference] = []
+        """Of each cruise, for the controller."""
         self.failures = 0
         self.aborts: list[str] = []
 
@@ -147,6 +150,7 @@ class Commander:
         pilot = self.craft.pilot
         hover = pilot.still.control[0]
         plan = pilot.nmpc.follow(planned.trajectory, self.craft.time + _LATENCY, hover, SAMPLES)
+        self.references.append(plan)
         self.craft.order(pilot.with_plan(self.craft.memory, plan, self.craft.time))
 
     def _on_the_way(self) -> None:

@@ -4,13 +4,16 @@ import dataclasses
 import os
 
 import numpy as np
+from jaxtyping import Float
 
 from jaxscp.mission.cases import Case, Choices, draw_case
 from jaxscp.mission.commander import Commander, carry_out
-from jaxscp.mission.craft import Craft
+from jaxscp.mission.craft import CHUNK, Craft
 from jaxscp.mission.outcome import Outcome, assess
+from jaxscp.mission.phases import Phase
 from jaxscp.mission.planning import MissionPlanner
 from jaxscp.simulation import Flight
+from jaxscp.simulation.simulate import TICK
 
 GOAL_REACHED = 1.5
 """m, true distance from the goal: the odometry may have drifted by as much."""
@@ -30,6 +33,19 @@ class Mission:
     def accomplished(self) -> bool:
         """Whether the vehicle was at the goal, but for its drift, and landed."""
         return self.outcome.landed and self.outcome.goal_distance < GOAL_REACHED
+
+    def tracking_errors(self) -> Float[np.ndarray, "ticks"]:
+        """Distance of the estimated position from the plan, m; NaN outside a cruise."""
+        places = np.asarray(self.craft.record.flight().estimate)[:, :3]
+        time = np.arange(1, len(places) + 1) * TICK
+        errors = np.full(len(places), np.nan)
+        cruising = np.repeat([phase == Phase.cruise for phase in self.craft.record.phases], int(CHUNK / TICK))
+        for plan in self.commander.references:
+            rows = cruising & (time > float(plan.start))
+            samples = float(plan.start) + float(plan.step) * np.arange(len(plan.state))
+            planned = [np.interp(time[rows], samples, np.asarray(plan.state)[:, axis]) for axis in range(3)]
+            errors[rows] = np.linalg.norm(places[rows] - np.stack(planned, axis=1), axis=1)
+        return errors
 
     def save(self, file: str | os.PathLike) -> None:
         """Write the histories at 200 Hz (.npz): vehicle, carrier, estimate, deck, thrusts, distance."""

@@ -97,7 +97,8 @@ def draw_errors(ax: Axes, mission: Mission) -> Axes:
     relative = np.linalg.norm((deck - truth)[:, :2], axis=1)
     ax.semilogy(time, np.linalg.norm(drift, axis=1) + 1e-4, color=GREY, label="own position: drift [m]")
     ax.semilogy(time, relative + 1e-4, color=BLUE, label="deck relative to the vehicle, horizontal [m]")
-    ax.set(xlabel="time [s]", ylim=(1e-3, 3.0))
+    ax.semilogy(time, mission.tracking_errors(), color=BLACK, label="estimated position from the plan [m]")
+    ax.set(xlabel="time [s]", ylim=(1e-3, 10.0))
     ax.legend(loc="upper left", **LEGEND)
     return ax
 
