@@ -132,6 +132,7 @@ def test_an_unknown_field_is_refused():
         draw_case("underwater", 0)
 
 
+@pytest.mark.slow
 def test_the_same_seed_draws_the_same_case():
     from jaxscp.mission import draw_case
 

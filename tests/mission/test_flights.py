@@ -77,6 +77,7 @@ def test_a_mission_lands(seed):
     assert mission.craft.record.phases[-1] == Phase.landed
 
 
+@pytest.mark.slow
 def test_a_pilot_is_a_pytree_of_arrays():
     pilot = nominal_pilot()
     assert isinstance(pilot, Pilot)
@@ -84,6 +85,7 @@ def test_a_pilot_is_a_pytree_of_arrays():
     assert float(doubled.rules.start_height) == 2.0 * float(pilot.rules.start_height)
 
 
+@pytest.mark.slow
 def test_cases_have_a_free_goal_and_a_deck_that_waits():
     case = draw_case("outdoor", 2)
     assert float(case.scene.distance(case.goal)) > 1.0
