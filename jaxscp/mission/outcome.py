@@ -7,12 +7,12 @@ from jaxtyping import Float
 
 from jaxscp.mission.craft import Record
 from jaxscp.mission.phases import Phase
-from jaxscp.simulation.bodies import DECK_HEIGHT
+from jaxscp.simulation.bodies import DECK_HEIGHT, FEET, FOOT
 from jaxscp.simulation.vehicles import FEET_DEPTH
 
 HULL = 0.115  # m: half the diagonal and a rotor's radius
 _AWAY = 0.5  # m over the deck: after that a contact is a landing
-_CONTACT = 0.001  # m
+_CONTACT = 0.0005  # m
 _ON_DECK = 0.3  # m from the deck's centre
 _CARRIER = 0.65  # m, radius of the carrier
 _RATE = 200  # ticks a second
@@ -54,7 +54,8 @@ def assess(record: Record, attempts: int, goal: Float[np.ndarray, "3"]) -> Outco
     relative, speed, tilt = _relative(np.asarray(flight.vehicle), np.asarray(flight.carrier))
     height = relative[:, 2] - DECK_HEIGHT - FEET_DEPTH
     away = np.argmax(height > _AWAY) if (height > _AWAY).any() else len(height)
-    contact = np.flatnonzero((np.arange(len(height)) > away) & (height < _CONTACT) & _over(relative))
+    low = _lowest_foot(np.asarray(flight.vehicle), np.asarray(flight.carrier)) < _CONTACT
+    contact = np.flatnonzero((np.arange(len(height)) > away) & low & _over(relative))
     hit = bool(distance.min() < HULL) or bool(_carrier_hit(relative, height))
     on_deck = abs(height[-1]) < 0.02 and np.hypot(*relative[-1, :2]) < _ON_DECK
     landed = record.phases[-1] == Phase.landed and on_deck and not hit
@@ -84,6 +85,14 @@ def assess(record: Record, attempts: int, goal: Float[np.ndarray, "3"]) -> Outco
         duration=len(height) / _RATE,
         where=numbers[3],
     )
+
+
+def _lowest_foot(vehicle: np.ndarray, carrier: np.ndarray) -> np.ndarray:
+    """Height of the lowest point of the four feet over the deck, m."""
+    turn, own = _matrices(carrier[:, 6:10]), _matrices(vehicle[:, 6:10])
+    centre = (vehicle - carrier)[:, None, :3] + np.einsum("tij,fj->tfi", own, FEET)
+    up = np.einsum("tfi,ti->tf", centre, turn[:, :, 2])
+    return up.min(axis=1) - FOOT - DECK_HEIGHT
 
 
 def _over(relative: Float[np.ndarray, "ticks 3"]) -> np.ndarray:
