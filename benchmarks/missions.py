@@ -102,7 +102,7 @@ def controller_times() -> tuple[float, float]:
 
 
 def summary(rows: list[dict[str, Any]], seconds: float, times: tuple[float, float]) -> dict[str, Any]:
-    """The figures of all flights."""
+    """The figures of all flights; None where there is no flight to count. Aborted are flights that do not end landed."""
     from jaxscp.monte_carlo.intervals import wilson
 
     found: dict[str, Any] = {"flights": len(rows)}
@@ -127,10 +127,10 @@ def summary(rows: list[dict[str, Any]], seconds: float, times: tuple[float, floa
     speeds = [row["vertical_speed"] for row in rows if math.isfinite(row["vertical_speed"])]
     found["vertical_speed_p95"] = quantile(speeds, 0.95)
     found["nmpc_ms_median"], found["nmpc_ms_p99"] = times
-    flown_seconds = sum(row["duration"] for row in rows)
+    flight_seconds = sum(row["duration"] for row in rows)
     found["realtime_factor_one"] = float(np.median([row["duration"] / row["seconds"] for row in rows]))
-    found["realtime_factor_batch"] = flown_seconds / seconds
-    return found
+    found["realtime_factor_batch"] = flight_seconds / seconds
+    return {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in found.items()}
 
 
 def quantile(values: list[float], share: float) -> float | None:
