@@ -102,7 +102,7 @@ def controller_times() -> tuple[float, float]:
 
 
 def summary(rows: list[dict[str, Any]], seconds: float, times: tuple[float, float]) -> dict[str, Any]:
-    """The figures of all flights; None where there is no flight to count. Aborted are flights that do not end landed."""
+    """The figures of all flights; None without flights. Aborted: the flight does not end landed."""
     from jaxscp.monte_carlo.intervals import wilson
 
     found: dict[str, Any] = {"flights": len(rows)}

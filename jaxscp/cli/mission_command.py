@@ -12,6 +12,7 @@ from rich.console import Console
 from jaxscp.cli.endings import check_platform, refusals
 from jaxscp.cli.map_options import finite, known, one_of
 from jaxscp.cli.requests import CACHE, JSON, writable
+from jaxscp.core.extras import of_extra
 from jaxscp.mission import FIELDS
 
 if TYPE_CHECKING:
@@ -61,7 +62,8 @@ class MissionRequest:
                 f"flying {self.field}, seed {self.seed}: compiling first, which takes a minute or two ..."
             )
         with refusals():
-            from jaxscp.mission import Choices, run_mission  # needs the extra ``simulation``
+            of_extra("mujoco.mjx", "simulation,clouds", "missions need the packages mujoco and mujoco-mjx")
+            from jaxscp.mission import Choices, run_mission
 
             mission = run_mission(self.field, self.seed, Choices(self.wind, self.deck_speed))
         if self.as_json:

@@ -1,4 +1,4 @@
-"""A mission: from the deck, through obstacles, and back onto the deck (extra ``simulation``)."""
+"""A mission: from the deck, through obstacles, and back onto the deck (extras ``simulation``, ``clouds``)."""
 
 import lazy_loader
 
