@@ -10,6 +10,7 @@ from jaxtyping import Array, Float, Int
 from jaxscp.control import NMPC, Actuators, NMPCState, Reference
 from jaxscp.core.types import Scalar, Vector3
 from jaxscp.dynamics.airframes import Airframe
+from jaxscp.dynamics.rotations import rotation_matrix
 from jaxscp.mission import machine, targets
 from jaxscp.mission.machine import Facts
 from jaxscp.mission.phases import Phase
@@ -20,6 +21,7 @@ from jaxscp.simulation.simulate import CONTROL
 from jaxscp.simulation.vehicles import FEET_DEPTH
 
 SAMPLES = 400  # of a plan: 20 ms for 8 s
+ATTITUDE_GAIN, RATE_GAIN = 150.0, 22.0  # 1/s^2, 1/s, on the deck
 RESERVE = 0.9  # of the greatest thrust: an empty battery gives less
 
 
@@ -42,7 +44,7 @@ class PilotState(eqx.Module):
 
 
 class Pilot(eqx.Module):
-    """Flies all phases with one predictive controller. Only the spool-up on the deck is open loop.
+    """Flies all phases with one predictive controller. In the spool-up, thrust rises and attitude is held level.
 
     Args:
         airframe: the vehicle as the pilot knows it.
@@ -136,7 +138,7 @@ class Pilot(eqx.Module):
         reference = targets.window(state.plan, self.still, target, cruise, time)
         memory, command = self.nmpc(reference, state.controller, observation.state(), time)
         least = self.airframe.thrust_min
-        rising = jnp.minimum(state.command + self.rules.spool_rate * CONTROL, self.nmpc.actuators.upper)
+        rising = self._rising(state.command, observation.state())
         spooling = phase == int(Phase.spool_up)
         off = (phase == int(Phase.on_deck)) | (phase == int(Phase.touch_down)) | (phase == int(Phase.landed))
         open_loop = jnp.where(spooling, rising, least)
@@ -145,6 +147,16 @@ class Pilot(eqx.Module):
         fresh = self.nmpc.init(reference, observation.state(), time, open_loop)
         memory = jax.tree.map(lambda a, b: jnp.where(spooling | off, a, b), fresh, memory)
         return memory, command
+
+    def _rising(self, before: Float[Array, "rotors"], own: Float[Array, "13"]) -> Float[Array, "rotors"]:
+        """Thrusts that rise together, with a torque that holds the vehicle level in wind."""
+        body = self.airframe.body
+        up = rotation_matrix(own[6:10])[2]  # the world's vertical in body axes
+        tilt = jnp.cross(up, jnp.array([0.0, 0.0, 1.0]))
+        torque = -body.inertia @ (ATTITUDE_GAIN * tilt + RATE_GAIN * own[10:])
+        differences = body.least_thrusts() @ jnp.concatenate([jnp.zeros(3), torque])
+        collective = jnp.mean(before) + self.rules.spool_rate * CONTROL
+        return jnp.clip(collective + differences, self.airframe.thrust_min, self.nmpc.actuators.upper)
 
     def with_plan(self, state: PilotState, plan: Reference, time: Scalar | float) -> PilotState:
         """The memory after a plan for the cruise arrives; a plan begins now, where its ``start`` says so."""

@@ -27,7 +27,7 @@ class Rules(eqx.Module):
     """m/s"""
     spool_rate: Scalar = eqx.field(converter=as_floats, default=4.0)
     """Rise of each rotor's thrust in spool-up, N/s."""
-    lift_off: Scalar = eqx.field(converter=as_floats, default=0.02)
+    lift_off: Scalar = eqx.field(converter=as_floats, default=0.04)
     """Height at which the vehicle has left the deck, m."""
     still: Scalar = eqx.field(converter=as_floats, default=0.3)
     """s for which a place must be held before the next phase."""

@@ -38,7 +38,7 @@ def test_nothing_changes_without_a_reason(phase):
     ("phase", "facts", "expected"),
     [
         (Phase.on_deck, {"in_phase": 0.6}, Phase.spool_up),
-        (Phase.spool_up, {"height": 0.03}, Phase.climb),
+        (Phase.spool_up, {"height": 0.05}, Phase.climb),
         (Phase.spool_up, {"height": 0.0, "in_phase": 5.1}, Phase.on_deck),
         (Phase.climb, {"reached": 0.4}, Phase.hover),
         (Phase.cruise, {"reached": 0.4}, Phase.cruise),
