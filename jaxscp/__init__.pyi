@@ -82,6 +82,7 @@ from . import control as control
 from . import simulation as simulation
 
 # --- many cases ---
+from . import mission as mission
 from . import monte_carlo as monte_carlo
 
 # --- compile, store, load ---

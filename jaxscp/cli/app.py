@@ -19,6 +19,7 @@ from rich.console import Console
 from jaxscp.cli.endings import Commands, check_platform, refusals, told_warnings
 from jaxscp.cli.info import info, info_text
 from jaxscp.cli.map_options import MapOptions, closed_gap, gap_text
+from jaxscp.cli.mission_command import MissionRequest
 from jaxscp.cli.options import with_options
 from jaxscp.cli.report import converged, map_facts, print_report, report, timed
 from jaxscp.cli.requests import CASES, CLEARANCE, JSON, MODES, RATE, MapRequest, PlanRequest
@@ -132,6 +133,16 @@ def sweep_command(request: SweepRequest) -> None:
     Exit code: 0 if the sweep is finished, 2 if the request was wrong, 130 after Ctrl-C.
     """
     request.run()
+
+
+@app.command(name="mission")
+@with_options(MissionRequest)
+def mission_command(request: MissionRequest) -> None:
+    """Fly a whole mission in simulation: start from the carrier, plan, fly, return, land on its deck.
+
+    Exit code: 0 if the vehicle was at its goal and landed, 1 if not, 2 if the request was wrong.
+    """
+    raise typer.Exit(0 if request.run() else 1)
 
 
 def _write_files(request: PlanRequest, scenario: LandingScenario, solution: Solution) -> None:

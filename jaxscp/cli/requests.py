@@ -15,7 +15,7 @@ from jaxscp.corridor import CorridorOptions
 from jaxscp.landing import scenarios
 from jaxscp.landing.scenario import LandingScenario
 from jaxscp.planner.planner import Planner
-from jaxscp.scp.nodal_subproblem import NormTrustRegion, ProximalTrustRegion
+from jaxscp.scp.nodal_subproblem import ProximalTrustRegion
 from jaxscp.scp.ptr import PTR
 
 CASES: dict[str, Callable[[], LandingScenario]] = {
@@ -27,7 +27,7 @@ MODES: dict[str, Callable[[int | None], Planner]] = {
     # second derivatives, safe between nodes
     "default": lambda nodes: Planner(nodes=nodes),
     # Table I of the paper
-    "paper": lambda nodes: Planner(nodes=nodes, method=PTR(NormTrustRegion(10.0), virtual_weight=1000.0)),
+    "paper": lambda nodes: Planner.paper(nodes),
     # a light weight takes long steps, many of them
     "proximal": lambda nodes: Planner(nodes=nodes, method=PTR(ProximalTrustRegion(0.02), max_iterations=200)),
 }

@@ -12,6 +12,8 @@ from jaxscp.problem.errors import InvalidScenario
 from jaxscp.problem.trajectory import Trajectory
 from jaxscp.scp.method import Method
 from jaxscp.scp.newton import NewtonSCP
+from jaxscp.scp.nodal_subproblem import NormTrustRegion
+from jaxscp.scp.ptr import PTR
 from jaxscp.solver.many import Many, solve_many
 from jaxscp.solver.pipeline import Pipeline
 from jaxscp.solver.scenario import Scenario
@@ -40,6 +42,19 @@ class Planner(eqx.Module):
     nodes: int | None = None
     method: Method = NewtonSCP()
     samples: int = 200
+
+    @staticmethod
+    def paper(nodes: int = 30) -> "Planner":
+        """The paper's method with the weights of its Table I: the first feasible plan, in milliseconds.
+
+        Constraints hold at the nodes alone, and the plan is no optimum.
+
+        Example:
+            >>> import jaxscp
+            >>> jaxscp.Planner.paper(nodes=20).method.virtual_weight
+            1000.0
+        """
+        return Planner(nodes, PTR(NormTrustRegion(10.0), virtual_weight=1000.0))
 
     def __call__(self, scenario: Scenario) -> Solution:
         """Plan one scenario; use ``jax.vmap(planner)`` for a batch.

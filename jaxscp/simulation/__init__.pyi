@@ -2,6 +2,9 @@
 
 from .aerodynamics import Aerodynamics as Aerodynamics
 from .aerodynamics import Deck as Deck
+from .course import Course as Course
+from .deck_estimator import DeckEstimate as DeckEstimate
+from .deck_estimator import DeckFilter as DeckFilter
 from .estimator import ErrorStateFilter as ErrorStateFilter
 from .estimator import Estimate as Estimate
 from .geometric import Geometric as Geometric
@@ -15,7 +18,11 @@ from .sensors import DeckSensor as DeckSensor
 from .sensors import LiDAR as LiDAR
 from .sensors import Odometry as Odometry
 from .simulate import Flight as Flight
+from .simulate import Loop as Loop
+from .simulate import Observation as Observation
 from .simulate import Sensors as Sensors
+from .simulate import advance as advance
+from .simulate import begin as begin
 from .simulate import simulate as simulate
 from .vehicles import simulated_mav as simulated_mav
 from .world import World as World

@@ -11,7 +11,10 @@ TIME_STEP = 0.0025
 """s: two steps a sample of the inertial unit, four a sample of odometry."""
 DECK_HEIGHT = 0.16
 """Height of the deck's surface over the carrier's centre of mass, m."""
-_FOOT = 0.012
+FOOT = 0.012
+"""Radius of a foot, m."""
+FEET = np.array([[x, y, FOOT - FEET_DEPTH] for x in (-0.054, 0.054) for y in (-0.054, 0.054)])
+"""Centres of the feet in the vehicle's axes, m."""
 _HALF_DECK = 0.4
 VEHICLE, CARRIER = 1, 2
 """Numbers of the bodies in MuJoCo's arrays."""
@@ -72,10 +75,9 @@ def _rotors(airframe: Airframe, radius: float) -> str:
 
 
 def _feet() -> str:
-    places = [(x, y) for x in (-0.054, 0.054) for y in (-0.054, 0.054)]
     return "".join(
-        f'<geom name="foot{i}" type="sphere" size="{_FOOT}" pos="{x} {y} {_FOOT - FEET_DEPTH}"/>'
-        for i, (x, y) in enumerate(places)
+        f'<geom name="foot{i}" type="sphere" size="{FOOT}" pos="{_text(place)}"/>'
+        for i, place in enumerate(FEET)
     )
 
 

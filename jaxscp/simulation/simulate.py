@@ -1,4 +1,8 @@
-"""A closed loop as one scan: physics at 400 Hz, inertial unit at 200 Hz, odometry and controller at 100 Hz."""
+"""A closed loop as one scan: physics at 400 Hz, inertial unit at 200 Hz, odometry and controller at 100 Hz.
+
+The deck sensor samples at 33 Hz, and the carrier's own odometry at 10 Hz. ``begin`` and ``advance`` cut a flight into
+parts; ``simulate`` flies one part.
+"""
 
 from collections.abc import Callable
 from typing import Any
@@ -6,28 +10,48 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from jaxscp.core.types import Scalar, Vector3
 from jaxscp.dynamics.rotations import rotation_matrix
 from jaxscp.simulation import bodies
+from jaxscp.simulation.deck_estimator import DeckEstimate, DeckFilter
 from jaxscp.simulation.estimator import ErrorStateFilter, Estimate
-from jaxscp.simulation.sensors import IMU, Odometry, OdometryState
-from jaxscp.simulation.world import State, World, WorldState, carrier_state, vehicle_state
-
-Controller = Callable[[Any, Estimate, Array], tuple[Any, Float[Array, "rotors"]]]
-"""(controller's state, estimate, time s) -> (state, thrust commands N). It sees no truth."""
+from jaxscp.simulation.sensors import IMU, DeckSensor, DeckState, Odometry, OdometryState
+from jaxscp.simulation.world import State, World, WorldState, carrier_state, deck_of, vehicle_state
 
 TICK = 2 * bodies.TIME_STEP
 """s between inertial samples."""
+CONTROL = 2 * TICK
+"""s between commands."""
+_SIGHT, _MESSAGE = 3, 10  # control periods between samples of the deck, and of the carrier's odometry
+
+
+class Observation(eqx.Module):
+    """All that a controller knows: estimates of the vehicle and of the deck, no truth."""
+
+    vehicle: Estimate
+    deck: DeckEstimate
+
+    def state(self) -> Float[Array, "13"]:
+        """Estimated state of the vehicle: position m, velocity m/s, attitude, body rate rad/s."""
+        return self.vehicle.state()
+
+
+Controller = Callable[[Any, Observation, Array], tuple[Any, Float[Array, "rotors"]]]
+"""(controller's state, observation, time s) -> (state, thrust commands N). It sees no truth."""
 
 
 class Sensors(eqx.Module):
-    """Sensors of the vehicle and the filter that joins them."""
+    """Sensors of the vehicle, messages of the carrier, and the filters that join them."""
 
     imu: IMU = eqx.field(default_factory=IMU)
     odometry: Odometry = eqx.field(default_factory=Odometry)
     estimator: ErrorStateFilter = eqx.field(default_factory=ErrorStateFilter)
+    deck: DeckSensor = eqx.field(default_factory=DeckSensor)
+    carrier: Odometry = eqx.field(default_factory=lambda: Odometry(delay=1))
+    """The carrier's own odometry: a sample late at 10 Hz."""
+    deck_filter: DeckFilter = eqx.field(default_factory=DeckFilter)
 
 
 class Flight(eqx.Module):
@@ -36,19 +60,68 @@ class Flight(eqx.Module):
     vehicle: Float[Array, "ticks 13"]
     carrier: Float[Array, "ticks 13"]
     estimate: Float[Array, "ticks 13"]
+    deck: Float[Array, "ticks 6"]
+    """Estimated position m and velocity m/s of the deck's surface, in the frame of ``estimate``."""
     thrusts: Float[Array, "ticks rotors"]
     """True thrusts, N."""
 
 
-class _Loop(eqx.Module):
-    """Carry of the scan."""
+class Measured(eqx.Module):
+    """State of the sensors."""
 
-    world: WorldState
     bias: Float[Array, "6"]
     odometry: OdometryState
-    estimate: Estimate
+    deck: DeckState
+    carrier: OdometryState
+
+
+class Loop(eqx.Module):
+    """A flight at a moment: carry of the scan."""
+
+    world: WorldState
+    sensors: Measured
+    observation: Observation
     controller: Any
     command: Float[Array, "rotors"]
+    key: PRNGKeyArray
+    count: Int[Array, ""]
+    """Control periods since the begin."""
+
+
+def begin(
+    world: World, sensors: Sensors, first: Any, key: PRNGKeyArray, height: Scalar | float = 0.0
+) -> Loop:
+    """A flight before its first step.
+
+    Args:
+        world: bodies, air, motors.
+        sensors: sensors and filters.
+        first: the controller's first state.
+        key: seed of gusts and noise.
+        height: start over the deck, m.
+    """
+    keys = jax.random.split(key, 4)
+    start = world.init(keys[0], height)
+    truth, carrier = vehicle_state(start), carrier_state(start)
+    measured = Measured(
+        sensors.imu.init(keys[1]),
+        sensors.odometry.init(truth),
+        sensors.deck.init(keys[2]),
+        sensors.carrier.init(carrier),
+    )
+    deck = sensors.deck_filter.init(truth, start.deck.position)
+    observation = Observation(sensors.estimator.init(truth), deck)
+    return Loop(start, measured, observation, first, start.motors.thrusts, keys[3], jnp.zeros((), int))
+
+
+def advance(
+    world: World, sensors: Sensors, function: Controller, loop: Loop, periods: int
+) -> tuple[Loop, Flight]:
+    """The flight after periods of 10 ms, and their history."""
+    loop, flight = jax.lax.scan(
+        lambda loop, _: _period(world, sensors, function, loop), loop, None, length=periods
+    )
+    return loop, jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), flight)
 
 
 def simulate(
@@ -63,51 +136,43 @@ def simulate(
 
     Args:
         world: bodies, air, motors.
-        sensors: sensors and filter.
+        sensors: sensors and filters.
         controller: the controller's function and its first state.
         key: seed of gusts and noise.
         ticks: length of the flight in steps of 5 ms, an even number.
         height: start over the deck, m.
     """
     function, first = controller
-    keys = jax.random.split(key, 3)
-    start = world.init(keys[0], height)
-    truth = vehicle_state(start)
-    loop = _Loop(
-        start,
-        sensors.imu.init(keys[1]),
-        sensors.odometry.init(truth),
-        sensors.estimator.init(truth),
-        first,
-        start.motors.thrusts,
+    return advance(world, sensors, function, begin(world, sensors, first, key, height), ticks // 2)[1]
+
+
+def _period(world: World, sensors: Sensors, function: Controller, loop: Loop) -> tuple[Loop, Flight]:
+    """Two inertial samples, then all other sensors and one command."""
+    key = jax.random.fold_in(loop.key, loop.count)
+    physics, sense = jax.random.split(key)
+    loop, flight = jax.lax.scan(
+        lambda loop, key: _physics(world, sensors, loop, key), loop, jax.random.split(physics, 2)
     )
-
-    def tick(loop: _Loop, inputs):
-        number, key = inputs
-        new = _physics(world, sensors, loop, key)
-        sense = jax.random.fold_in(key, 2)
-        new = jax.lax.cond(number % 2 == 1, lambda n: _control(sensors, function, n, sense), lambda n: n, new)
-        record = (
-            vehicle_state(new.world),
-            carrier_state(new.world),
-            new.estimate.state(),
-            new.world.motors.thrusts,
-        )
-        return new, record
-
-    inputs = (jnp.arange(ticks), jax.random.split(keys[2], ticks))
-    return Flight(*jax.lax.scan(tick, loop, inputs)[1])
+    measured, observation = _sense(sensors, loop, sense)
+    controller, command = function(loop.controller, observation, loop.world.time)
+    return Loop(loop.world, measured, observation, controller, command, loop.key, loop.count + 1), flight
 
 
-def _physics(world: World, sensors: Sensors, loop: _Loop, key: PRNGKeyArray) -> _Loop:
+def _physics(world: World, sensors: Sensors, loop: Loop, key: PRNGKeyArray) -> tuple[Loop, Flight]:
     """Two steps of the world, one inertial sample of the mean acceleration, one prediction."""
     before = vehicle_state(loop.world)
-    keys = jax.random.split(jax.random.fold_in(key, 0), 2)
-    state = jax.lax.scan(lambda s, k: (world.step(s, loop.command, k), None), loop.world, keys)[0]
-    force, rate = _inertial(before, vehicle_state(state), world.airframe.body.gravity)
-    sample = sensors.imu.measure(jax.random.fold_in(key, 1), force, rate, loop.bias)
-    estimate = sensors.estimator.predict(loop.estimate, sample, TICK)
-    return _Loop(state, loop.bias, loop.odometry, estimate, loop.controller, loop.command)
+    air, noise = jax.random.split(key)
+    state = jax.lax.scan(
+        lambda s, k: (world.step(s, loop.command, k), None), loop.world, jax.random.split(air, 2)
+    )[0]
+    truth = vehicle_state(state)
+    force, rate = _inertial(before, truth, world.airframe.body.gravity)
+    sample = sensors.imu.measure(noise, force, rate, loop.sensors.bias)
+    estimate = sensors.estimator.predict(loop.observation.vehicle, sample, TICK)
+    observation = Observation(estimate, loop.observation.deck)
+    new = Loop(state, loop.sensors, observation, loop.controller, loop.command, loop.key, loop.count)
+    deck = observation.deck.mean.reshape(6)
+    return new, Flight(truth, carrier_state(state), observation.state(), deck, state.motors.thrusts)
 
 
 def _inertial(before: State, after: State, gravity: Vector3) -> tuple[Vector3, Vector3]:
@@ -116,9 +181,26 @@ def _inertial(before: State, after: State, gravity: Vector3) -> tuple[Vector3, V
     return force, 0.5 * (before[10:] + after[10:])
 
 
-def _control(sensors: Sensors, function: Controller, loop: _Loop, key: PRNGKeyArray) -> _Loop:
-    """One sample of odometry, one correction, one command."""
-    odometry, measured = sensors.odometry.measure(key, vehicle_state(loop.world), loop.odometry)
-    estimate = sensors.estimator.correct(loop.estimate, measured)
-    controller, command = function(loop.controller, estimate, loop.world.time)
-    return _Loop(loop.world, loop.bias, odometry, estimate, controller, command)
+def _sense(sensors: Sensors, loop: Loop, key: PRNGKeyArray) -> tuple[Measured, Observation]:
+    """One sample of odometry and one correction; the deck and the carrier's message where they are due."""
+    own, seeing, sent = jax.random.split(key, 3)
+    truth, carrier = vehicle_state(loop.world), carrier_state(loop.world)
+    odometry, measured = sensors.odometry.measure(own, truth, loop.sensors.odometry)
+    estimate = sensors.estimator.correct(loop.observation.vehicle, measured)
+    deck = sensors.deck_filter.predict(loop.observation.deck, estimate.state(), CONTROL)
+    place = deck_of(loop.world, jnp.zeros(())).position
+    after, (relative, turn, seen) = sensors.deck.measure(
+        seeing, truth, place, carrier[6:10], loop.sensors.deck
+    )
+    due = loop.count % _SIGHT == 0
+    deck = sensors.deck_filter.see(deck, relative, turn, seen & due)
+    sights = _where(due, after, loop.sensors.deck)
+    after, message = sensors.carrier.measure(sent, carrier, loop.sensors.carrier)
+    due = loop.count % _MESSAGE == 0
+    deck = _where(due, sensors.deck_filter.hear(deck, message), deck)
+    messages = _where(due, after, loop.sensors.carrier)
+    return Measured(loop.sensors.bias, odometry, sights, messages), Observation(estimate, deck)
+
+
+def _where(condition: Array, new: Any, old: Any) -> Any:
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), new, old)

@@ -6,12 +6,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 from mujoco import mjx
 
-from jaxscp.core.arrays import as_floats
 from jaxscp.core.types import Scalar, Vector3
 from jaxscp.dynamics.airframes import Airframe, paper_carrier
 from jaxscp.dynamics.rotations import rotation_matrix
 from jaxscp.simulation import bodies
 from jaxscp.simulation.aerodynamics import Aerodynamics, Deck
+from jaxscp.simulation.course import Course
 from jaxscp.simulation.geometric import Geometric
 from jaxscp.simulation.gusts import Dryden, GustState
 from jaxscp.simulation.motors import Motors, MotorState
@@ -44,21 +44,28 @@ class World(eqx.Module):
     air: Aerodynamics
     gusts: Dryden
     carrier: Geometric
-    start: Vector3
-    """Where the carrier begins, m."""
-    velocity: Vector3 = eqx.field(converter=as_floats)
-    """Reference velocity of the carrier, m/s."""
+    course: Course
+    """Reference of the carrier."""
 
     @staticmethod
     def of(
         *,
+        airframe: Airframe | None = None,
         air: Aerodynamics | None = None,
         wind: tuple[float, float, float] = (0.0, 0.0, 0.0),
         start: tuple[float, float, float] = (0.0, 0.0, 2.0),
         velocity: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ) -> "World":
-        """The paper's vehicle and carrier, in air that moves at a mean wind in m/s."""
-        airframe, carrier = simulated_mav(), paper_carrier()
+        """The paper's vehicle and carrier, in air that moves at a mean wind in m/s.
+
+        Args:
+            airframe: the vehicle; ``simulated_mav()`` by default. Its inertia matrix must be diagonal.
+            air: aerodynamic parameters.
+            wind: mean wind, m/s.
+            start: where the carrier begins, m.
+            velocity: of the carrier, m/s.
+        """
+        airframe, carrier = airframe or simulated_mav(), paper_carrier()
         return World(
             mjx.put_model(bodies.model(airframe, carrier)),
             airframe,
@@ -66,18 +73,18 @@ class World(eqx.Module):
             air or Aerodynamics(),
             Dryden(jnp.asarray(wind, float)),
             Geometric(carrier, attitude_gain=60.0, rate_gain=14.0),
-            jnp.asarray(start, float),
-            jnp.asarray(velocity, float),
+            Course(start, velocity),
         )
 
     def init(self, key: PRNGKeyArray, height: Scalar | float = 0.0) -> WorldState:
         """The vehicle at a height in m over its place on the deck; both bodies at the carrier's velocity."""
         hover = self.carrier.airframe.body.hover_thrust().sum()
-        deck = Deck(self.start.at[2].add(bodies.DECK_HEIGHT), jnp.zeros(4).at[0].set(1.0), hover)
+        start, velocity, _ = self.course.at(jnp.zeros(()))
+        deck = Deck(start.at[2].add(bodies.DECK_HEIGHT), jnp.zeros(4).at[0].set(1.0), hover)
         level = jnp.array([1.0, 0.0, 0.0, 0.0])
         place = deck.position.at[2].add(FEET_DEPTH + height)
-        qpos = jnp.concatenate([place, level, self.start, level])
-        qvel = jnp.concatenate([self.velocity, jnp.zeros(3), self.velocity, jnp.zeros(3)])
+        qpos = jnp.concatenate([place, level, start, level])
+        qvel = jnp.concatenate([velocity, jnp.zeros(3), velocity, jnp.zeros(3)])
         data = mjx.make_data(self.model).replace(qpos=qpos, qvel=qvel)
         gust, zero = self.gusts.init(key), jnp.zeros(3)
         return WorldState(data, self.motors.init(), gust, self.gusts.wind, zero, deck, jnp.zeros(()))
@@ -88,9 +95,9 @@ class World(eqx.Module):
         motors = self.motors.step(state.motors, command, dt)
         gust, change = self.gusts.step(state.gust, dt, key)
         wind = self.gusts.wind + change
-        integral, own = self.carrier(
-            state.integral, carrier_state(state), self.start + self.velocity * state.time, self.velocity, dt
-        )
+        place, velocity, yaw = self.course.at(state.time)
+        pilot = eqx.tree_at(lambda c: c.yaw, self.carrier, yaw)
+        integral, own = pilot(state.integral, carrier_state(state), place, velocity, dt)
         deck = deck_of(state, own.sum())
         vehicle = vehicle_state(state)
         force, torque = self.air.wrench(vehicle, motors.thrusts, wind, deck)

@@ -18,15 +18,15 @@ HOVER_ERROR = 0.15
 def climb():
     """A compiled flight of 3 s: climb to a height over the deck under suction of F0 newtons, from a start height."""
     pilot = Geometric(simulated_mav())
-    deck = WORLD.start + jnp.array([0.0, 0.0, 0.21])
+    deck = WORLD.course.start + jnp.array([0.0, 0.0, 0.21])
 
     def flight(suction, command, integral_gain, height):
         world = eqx.tree_at(lambda w: w.air.suction, WORLD, suction)
         own = eqx.tree_at(lambda p: p.integral_gain, pilot, integral_gain)
         target = deck.at[2].add(command)
 
-        def controller(integral, estimate, time):
-            return own(integral, estimate.state(), target, jnp.zeros(3), 0.01)
+        def controller(integral, observation, time):
+            return own(integral, observation.state(), target, jnp.zeros(3), 0.01)
 
         return simulate(world, SENSORS, (controller, jnp.zeros(3)), jax.random.key(0), TICKS, height)
 

@@ -84,7 +84,7 @@ def test_a_drop_settles_on_the_deck(run):
 
 
 def test_the_vehicle_rides_on_a_moving_deck_without_slip(run):
-    world = eqx.tree_at(lambda w: w.velocity, WORLD, jnp.array([1.0, 0.0, 0.0]))
+    world = eqx.tree_at(lambda w: w.course.velocity, WORLD, jnp.array([1.0, 0.0, 0.0]))
     state = world.init(jax.random.key(0))
     _, (vehicle, carrier, *_) = run(world, state, commands(0.1))
     assert carrier[-1, 0] > 0.8

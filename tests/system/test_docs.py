@@ -29,6 +29,7 @@ MARKS = {  # pages that compile for more than some seconds; pages that compile t
     "docs/maps.md": SLOW,
     "docs/compile.md": SLOW,
     "docs/control.md": SLOW,
+    "docs/mission.md": NIGHTLY,
     "docs/sweeps.md": NIGHTLY,
     "docs/batches.md": NIGHTLY,
     "docs/gradients.md": NIGHTLY,
@@ -129,7 +130,7 @@ def test_every_option_of_maps_is_explained():
 def test_every_public_name_is_in_the_reference():
     text = "".join(PAGES[name] for name in PAGES if name.startswith("docs/reference/"))
     named = set(re.findall(r"^::: jaxscp\.([\w.]+)$", text, flags=re.MULTILINE))
-    rooms = ("conic", "control", "corridor", "monte_carlo", "plot", "simulation")
+    rooms = ("conic", "control", "corridor", "mission", "monte_carlo", "plot", "simulation")
     parts = {"airframes", "scenarios"}  # modules: their functions are there by name
     assert set(jaxscp.__all__) - set(rooms) - parts <= named
     for room in rooms:

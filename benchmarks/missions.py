@@ -1,0 +1,196 @@
+"""Whole missions, indoors and outdoors: landings, collisions, touch-downs, and the time that they take.
+
+Each flight starts on the carrier's deck, flies to a goal through random obstacles, returns and lands. Seeds are 0 to
+N - 1. Mass, inertia, thrust, suction, wind and the deck's speed vary. The assessment uses the truth. Shares are of the
+flights whose world has a route by a search on the true obstacles; each has its 95 % interval (Wilson).
+
+    python -m benchmarks.missions [--json] [--flights 20] [--first SEED] [--workers 2] [--rows FILE] [--gpu]
+
+A flight can be flown again alone: ``jaxscp mission indoor --seed SEED --video flight.gif``.
+"""
+
+import argparse
+import json
+import math
+import multiprocessing
+import os
+import time
+import warnings
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from typing import Any
+
+import numpy as np
+
+FIELDS = "indoor", "outdoor"
+TICKS = 300  # of the controller, timed
+_SPACING = 0.1  # m between points of true obstacles
+
+
+def flight(name: str, seed: int, wind: float | None = None) -> dict[str, Any]:
+    """One flight as a row."""
+    import jax
+
+    jax.config.update("jax_enable_x64", True)
+    from jaxscp.mission import Choices, run_mission
+
+    began = time.perf_counter()
+    mission = run_mission(name, seed, Choices(wind=wind if name == "outdoor" else None))
+    seconds = time.perf_counter() - began
+    vars_of = vars(mission.outcome)
+    route = vars_of["landed"] or has_route(mission.case)
+    row = {"field": name, "seed": seed, "seconds": seconds, "route": route, **vars_of}
+    row["landed"] = mission.accomplished
+    row["tracking_rmse"] = float(np.sqrt(np.nanmean(mission.tracking_errors() ** 2)))
+    return row | {"aborts": list(mission.commander.aborts)}
+
+
+def has_route(case) -> bool:
+    """Whether a search finds a way from the start to the goal among the true obstacles, inflated by the hull."""
+    from jaxscp.corridor import PointCloud, find_route
+    from jaxscp.corridor.route import Route
+    from jaxscp.mission.outcome import HULL
+
+    start = np.array(case.field.home) + np.array([0.0, 0.0, 1.2])
+    limits = {"lower": np.array(case.field.lower), "upper": np.array(case.field.upper), "clearance": 0.05}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            found = find_route(
+                PointCloud.of(surface(case.scene)), start, np.asarray(case.goal), HULL, **limits
+            )
+        except ValueError:
+            return False
+    return isinstance(found, Route)
+
+
+def surface(scene) -> np.ndarray:
+    """Points on the true obstacles' sides."""
+    parts = []
+    for centre, half in zip(np.asarray(scene.centres), np.asarray(scene.halves), strict=True):
+        if half.max() > 4.0:
+            continue  # walls are limits of the search
+        axes = [np.arange(-h, h + _SPACING, _SPACING).clip(-h, h) for h in half]
+        grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        parts.append(centre + grid[np.any(np.isclose(np.abs(grid), half), axis=1)])
+    for (x, y), radius, height in zip(
+        *map(np.asarray, (scene.axes, scene.radii, scene.heights)), strict=True
+    ):
+        angle = np.linspace(0.0, 2.0 * np.pi, max(8, int(2.0 * np.pi * radius / _SPACING)), endpoint=False)
+        z, a = (v.ravel() for v in np.meshgrid(np.arange(0.0, height, _SPACING), angle))
+        parts.append(np.stack([x + radius * np.cos(a), y + radius * np.sin(a), z], axis=1))
+    return np.concatenate(parts)
+
+
+def controller_times() -> tuple[float, float]:
+    """Median and 99th percentile of one tick of the mission's controller, ms, on one core."""
+    import jax
+    import jax.numpy as jnp
+
+    jax.config.update("jax_enable_x64", True)
+    from jaxscp.mission.craft import nominal_pilot
+
+    pilot = nominal_pilot()
+    level = jnp.zeros(13).at[6].set(1.0)
+    control = jax.jit(lambda memory, estimate, now: pilot.nmpc(pilot.still, memory, estimate, now))
+    memory, found = pilot.nmpc.init(pilot.still, level), []
+    for number in range(TICKS + 20):
+        estimate = level.at[0].set(0.3 * math.sin(0.1 * number))
+        began = time.perf_counter()
+        memory, _ = jax.block_until_ready(control(memory, estimate, jnp.asarray(0.01 * number)))
+        found.append(1e3 * (time.perf_counter() - began))
+    return float(np.median(found[20:])), float(np.quantile(found[20:], 0.99))
+
+
+def summary(rows: list[dict[str, Any]], seconds: float, times: tuple[float, float]) -> dict[str, Any]:
+    """The figures of all flights; None without flights. Aborted: the flight does not end landed."""
+    from jaxscp.monte_carlo.intervals import wilson
+
+    found: dict[str, Any] = {"flights": len(rows)}
+    for name in FIELDS:
+        chosen = [row for row in rows if row["field"] == name and row["route"]]
+        shares = {
+            "landed": [row["landed"] and row["attempts"] <= 2 for row in chosen],
+            "landed_first_approach": [row["landed"] and row["attempts"] == 1 for row in chosen],
+            "aborted": [row["end"] != "landed" for row in chosen],
+        }
+        for key, flags in shares.items():
+            interval = wilson(sum(flags), len(flags))
+            found[f"{key}_{name}"] = interval.estimate
+            found[f"{key}_{name}_interval"] = [interval.lower, interval.upper]
+        prefix = "" if name == "indoor" else "outdoor_"
+        errors = [row["touchdown"] for row in chosen if math.isfinite(row["touchdown"])]
+        found[f"{prefix}touchdown_median_m"] = quantile(errors, 0.5)
+        found[f"{prefix}touchdown_p95_m"] = quantile(errors, 0.95)
+    collisions = sum(row["collision"] for row in rows)
+    found["collisions"] = collisions
+    found["collisions_upper_bound"] = wilson(collisions, len(rows)).upper
+    speeds = [row["vertical_speed"] for row in rows if math.isfinite(row["vertical_speed"])]
+    found["vertical_speed_p95"] = quantile(speeds, 0.95)
+    found["nmpc_ms_median"], found["nmpc_ms_p99"] = times
+    flight_seconds = sum(row["duration"] for row in rows)
+    found["realtime_factor_one"] = float(np.median([row["duration"] / row["seconds"] for row in rows]))
+    found["realtime_factor_batch"] = flight_seconds / seconds
+    return {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in found.items()}
+
+
+def quantile(values: list[float], share: float) -> float | None:
+    """A quantile, or None without values."""
+    return float(np.quantile(values, share)) if values else None
+
+
+def fly_all(
+    tasks: list[tuple[str, int]], workers: int, file: str | None, wind: float | None
+) -> list[dict[str, Any]]:
+    """Rows of all flights, each written to a file as soon as it is there; rows of that file count."""
+    rows = []
+    if file is not None and os.path.exists(file):
+        with open(file) as before:
+            rows = [json.loads(line) for line in before]
+    done = {(row["field"], row["seed"]) for row in rows}
+    rows = [row for row in rows if (row["field"], row["seed"]) in set(tasks)]
+    tasks = [task for task in tasks if task not in done]
+    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
+        for future in as_completed([pool.submit(flight, *task, wind) for task in tasks]):
+            rows.append(future.result())
+            if file is not None:
+                with open(file, "a") as out:
+                    out.write(json.dumps(rows[-1]) + "\n")
+    return sorted(rows, key=lambda row: (row["field"], row["seed"]))
+
+
+def main() -> None:
+    """Fly, and print."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--flights", type=int, default=200, help="in each field")
+    parser.add_argument("--first", type=int, default=0, help="first seed")
+    parser.add_argument("--field", choices=FIELDS, help="one field alone")
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
+    parser.add_argument(
+        "--rows", metavar="FILE", help="append a JSON line a flight; those there are not repeated"
+    )
+    parser.add_argument("--wind", type=float, help="mean wind outdoors in m/s instead of 0 to 8")
+    parser.add_argument(
+        "--gpu", action="store_true", help="refused: missions plan on the host, flight by flight"
+    )
+    asked = parser.parse_args()
+    if asked.gpu:
+        parser.error("--gpu: not built yet; missions plan on the host, flight by flight")
+    names = FIELDS if asked.field is None else (asked.field,)
+    tasks = [(name, asked.first + k) for k in range(asked.flights) for name in names]
+    began = time.perf_counter()
+    rows = fly_all(tasks, asked.workers, asked.rows, asked.wind)
+    found = summary(rows, time.perf_counter() - began, controller_times())
+    if asked.json:
+        print(json.dumps(found))
+    else:
+        for key, value in found.items():
+            print(f"{key:36} {value}")
+        failed = [f"{r['field']} {r['seed']}: {r['end']}, {r['aborts']}" for r in rows if not r["landed"]]
+        print("not landed:", *(failed or ["none"]), sep="\n  ")
+
+
+if __name__ == "__main__":
+    main()

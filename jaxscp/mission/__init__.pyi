@@ -1,0 +1,18 @@
+# Imported on first use: see ``__init__.py``.
+
+from .cases import Case as Case
+from .cases import Choices as Choices
+from .cases import draw_case as draw_case
+from .fields import FIELDS as FIELDS
+from .fields import INDOOR as INDOOR
+from .fields import OUTDOOR as OUTDOOR
+from .fields import Field as Field
+from .mission import Mission as Mission
+from .mission import run_mission as run_mission
+from .outcome import Outcome as Outcome
+from .outcome import assess as assess
+from .phases import Phase as Phase
+from .phases import phase_names as phase_names
+from .pilot import Pilot as Pilot
+from .pilot import PilotState as PilotState
+from .rules import Rules as Rules

@@ -1,0 +1,41 @@
+"""The map of recent scans: it forgets with the way, and drops single leaves."""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from jaxscp.mission.mapping import RecentMap, in_odometry_frame
+
+
+def test_scans_are_forgotten_with_the_way_not_with_time():
+    recent, wall = RecentMap(memory=10.0), np.array([[5.0, 0.0, 1.0], [5.0, 0.1, 1.0]])
+    place = np.zeros(3)
+    for _ in range(30):
+        recent.add(wall, place)
+    assert recent.cloud().count == 60
+    recent.add(wall, np.array([9.0, 0.0, 0.0]))
+    assert recent.cloud().count == 62
+    recent.add(wall, np.array([15.0, 0.0, 0.0]))
+    assert recent.cloud().count == 4
+
+
+def test_single_leaves_are_dropped_and_surfaces_stay():
+    random = np.random.default_rng(0)
+    direction = random.standard_normal((300, 3))
+    leaves = direction / np.linalg.norm(direction, axis=1)[:, None] * random.uniform(2.0, 20.0, (300, 1))
+    y, z = np.meshgrid(np.arange(-1.0, 1.0, 0.15), np.arange(-1.0, 1.0, 0.15))
+    wall = np.stack([np.full(y.size, 6.0), y.ravel(), z.ravel()], axis=1)
+    recent = RecentMap(memory=10.0, denoise=True)
+    recent.add(np.concatenate([leaves, wall]), np.zeros(3))
+    left = recent.latest()
+    on_wall = np.abs(left[:, 0] - 6.0) < 1e-9
+    assert on_wall.sum() == len(wall)
+    assert (~on_wall).sum() < 15
+
+
+def test_points_turn_with_the_attitude():
+    turn = Rotation.from_euler("xyz", [0.2, -0.3, 1.0])
+    x, y, z, w = turn.as_quat()
+    state = np.concatenate([[1.0, 2.0, 3.0], np.zeros(3), [w, x, y, z], np.zeros(3)])
+    points = np.random.default_rng(1).standard_normal((5, 3))
+    found = in_odometry_frame(points, np.array([1.0, 1.0, 0.0, 1.0, 1.0]), state)
+    np.testing.assert_allclose(found, turn.apply(points[[0, 1, 3, 4]]) + state[:3], atol=1e-12)
