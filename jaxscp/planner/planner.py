@@ -44,7 +44,7 @@ class Planner(eqx.Module):
     samples: int = 200
 
     @staticmethod
-    def paper(nodes: int = 30) -> "Planner":
+    def paper(nodes: int | None = None) -> "Planner":
         """The paper's method with the weights of its Table I: the first feasible plan, in milliseconds.
 
         Constraints hold at the nodes alone, and the plan is no optimum.
