@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 MAPPINGS = pathlib.Path("/proc/self/maps")
 LIMIT = pathlib.Path("/proc/sys/vm/max_map_count")
-RESERVE = 6_000  # mappings that must be free before a planner compiles: several times what a large one holds
+RESERVE = 6_000  # mappings that must be free before a planner compiles: five default batches
 
 
 class TooManyPrograms(MemoryError):
