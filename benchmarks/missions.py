@@ -23,7 +23,8 @@ import numpy as np
 
 FIELDS = "indoor", "outdoor"
 TICKS = 300  # of the controller, timed
-_SPACING = 0.1  # m between points of true obstacles
+_SPACING = 0.15  # m between points of true obstacles
+_CELL = 0.2  # m, of the route search: finer ones take minutes in a field
 
 
 def flight(name: str, seed: int, wind: float | None = None) -> dict[str, Any]:
@@ -51,7 +52,12 @@ def has_route(case) -> bool:
     from jaxscp.mission.outcome import HULL
 
     start = np.array(case.field.home) + np.array([0.0, 0.0, 1.2])
-    limits = {"lower": np.array(case.field.lower), "upper": np.array(case.field.upper), "clearance": 0.05}
+    limits = {
+        "lower": np.array(case.field.lower),
+        "upper": np.array(case.field.upper),
+        "clearance": 0.05,
+        "cell": _CELL,
+    }
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:

@@ -142,6 +142,7 @@ class Commander:
             self._start(planned)
             return
         self.failures += 1
+        self.map.forget()
         if self.failures >= _FAILURES and self.task == Task.out:
             self.aborts.append("no route to the goal")
             self.failures, self.task = 0, Task.back

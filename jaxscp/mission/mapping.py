@@ -53,6 +53,10 @@ class RecentMap:
         self._scans.append((self._way, self._denoised(points[far], place)))
         self._scans = [scan for scan in self._scans if self._way - scan[0] <= self.memory]
 
+    def forget(self) -> None:
+        """Drop all scans but the last: older ones have drifted, and leaves add up."""
+        self._scans = self._scans[-1:]
+
     def cloud(self) -> PointCloud:
         """All points that are remembered."""
         parts = [points for _, points in self._scans]

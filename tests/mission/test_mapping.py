@@ -18,6 +18,14 @@ def test_scans_are_forgotten_with_the_way_not_with_time():
     assert recent.cloud().count == 4
 
 
+def test_all_scans_but_the_last_can_be_dropped():
+    recent, wall = RecentMap(memory=10.0), np.array([[5.0, 0.0, 1.0]])
+    for _ in range(3):
+        recent.add(wall, np.zeros(3))
+    recent.forget()
+    assert recent.cloud().count == 1
+
+
 def test_single_leaves_are_dropped_and_surfaces_stay():
     random = np.random.default_rng(0)
     direction = random.standard_normal((300, 3))
