@@ -59,7 +59,7 @@ def cloud(rng: np.random.Generator) -> Case:
 
 
 def _holes(points: Points, rng: np.random.Generator) -> Points:
-    return points[rng.random(len(points)) > 0.9]
+    return points[rng.random(len(points)) > 0.5]
 
 
 def _some_lost(points: Points, rng: np.random.Generator) -> Points:
@@ -85,7 +85,7 @@ CLOUDS: dict[str, Callable[..., Any]] = {
     "twice": lambda p, r: np.concatenate([p, p]),
     "in disorder": lambda p, r: r.permutation(p),
     "single precision": lambda p, r: p.astype(np.float32),
-    "whole numbers": lambda p, r: np.round(p).astype(int),
+    "rounded to centimetres": lambda p, r: np.round(p, 2),
     "a list": lambda p, r: p[::7].tolist(),
 }
 
