@@ -204,9 +204,9 @@ def _findings(facts: MapReport, cloud: PointCloud, flight: Flight | None) -> Ite
     if flight is None:
         return
     yield from _place_findings(facts, flight, of_file=origin is not None)
-    if origin is not None and origin.frame is None and _upside_down(facts, cloud, flight):
+    if (origin is None or origin.frame is None) and _upside_down(facts, cloud, flight):
         yield (
-            True,
+            origin is not None,
             f"start and goal lie above the map, at z = {flight.start[2]:g} and {flight.goal[2]:g} m, and in it "
             f"if z points down: z of the map runs from {facts.lower[2]:g} to {facts.upper[2]:g} m. State the frame: "
             "frame='ned', 'frd' or 'enu' (--frame)",

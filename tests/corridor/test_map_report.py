@@ -242,6 +242,12 @@ def test_an_array_in_millimetres_is_warned_of(hall):
     assert "200 m from each other" in report.warnings[0]
 
 
+def test_an_array_with_z_down_is_warned_of(hall):
+    report = map_report(PointCloud.of(hall * [1.0, -1.0, -1.0]), START, [6.0, 1.5, 1.2])
+    assert report.accepted
+    assert "if z points down" in report.warnings[0]
+
+
 def test_more_points_than_memory_should_hold_are_refused_before_they_are_read(tmp_path, monkeypatch, hall):
     monkeypatch.setattr("jaxscp.corridor.file_content.MOST_POINTS", 1000)
     with pytest.raises(ValueError, match=rf"{len(hall)} points, more than the 1000 that are read; thin them"):
