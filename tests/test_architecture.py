@@ -24,7 +24,7 @@ LAYERS = (
     ("cli",),
 )
 LAYER = {room: number for number, rooms in enumerate(LAYERS, start=1) for room in rooms} | {"__main__": 14}
-MOST_ROOMS, MOST_ARROWS, MOST_FLOORS = 24, 98, 12  # about four arrows a room
+MOST_ROOMS, MOST_ARROWS, MOST_FLOORS = 24, 102, 12  # about four arrows a room
 MOST_LINES, MOST_FUNCTION_LINES, MOST_ARGUMENTS = 300, 50, 7
 CONES = {"Cone", "Zero", "NonNegative", "SecondOrder", "SymmetricCone"}
 

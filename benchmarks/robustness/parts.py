@@ -181,7 +181,7 @@ def _flight(scenario: jaxscp.LandingScenario, random: np.random.Generator) -> tu
         noisy = state[:3] + NOISE * random.normal(size=3) / np.sqrt(3.0)
         scenario = _from(scenario, state, noisy)
         plan = PLANNER.replan(plan, scenario)
-        fallbacks += bool(plan.planned_anew)
+        fallbacks += bool(plan.fell_back)
     return bool(np.linalg.norm(state[:3] - np.asarray(scenario.goal.position)) < NEAR), fallbacks, MOST_TICKS
 
 

@@ -68,7 +68,7 @@ class Planner(eqx.Module):
     def replan(self, solution: Solution | Trajectory, scenario: Scenario) -> Solution:
         """Plan a changed scenario, from the solution of a similar one.
 
-        Where that does not converge, the scenario is planned anew, as by a call; ``planned_anew`` says so.
+        Where that does not converge, the scenario is planned anew, as by a call; ``fell_back`` says so.
 
         Args:
             solution: of this planner, or its trajectory: (nodes, states) and (nodes, controls). Each interval of a

@@ -78,7 +78,7 @@ def conclude(
         backends=result.backends,
         z=z,
         context=context,
-        planned_anew=jnp.zeros((), bool),
+        fell_back=jnp.zeros((), bool),
     )
 
 

@@ -29,7 +29,7 @@ from jaxscp.problem.scaled_time import ScaledTimeProblem
 from jaxscp.problem.trajectory import Trajectory
 from jaxscp.scp.method import Method, MethodResult, iterate
 from jaxscp.solver.conclude import Reported, conclude
-from jaxscp.solver.fall_back import better
+from jaxscp.solver.fallback import better
 from jaxscp.solver.load import load_planner
 from jaxscp.solver.scenario import Scenario
 from jaxscp.solver.solution import Solution
@@ -73,10 +73,10 @@ class Pipeline(eqx.Module):
         self._check_plan(plan)
         fixed = dataclasses.replace(self, nodes=plan.nodes)
         found = fixed._from_plan(plan.with_dynamics(None), None if known is None else known.context, scenario)
-        return better(found, functools.partial(fixed._anew, scenario))
+        return better(found, functools.partial(fixed._from_guess, scenario))
 
     @any_rank
-    def _anew(self, scenario: Scenario, needed: Flag) -> Solution:
+    def _from_guess(self, scenario: Scenario, needed: Flag) -> Solution:
         """The solution of a scenario that was checked; where it is not needed, no step is taken."""
         inputs = aot.with_arrays(scenario).solver_inputs()
         ok, *rest = _setup(self, inputs)

@@ -50,7 +50,7 @@ class Solution(eqx.Module):
     """Node variables, in the user's units; of a problem with a scale, relative to it."""
     context: Any
     """Data that the scenario built its problem with; for a landing, the leg of the route of every interval."""
-    planned_anew: Flag
+    fell_back: Flag
     """Whether a re-plan found nothing from the earlier plan, so that this one began at the scenario's own guess."""
 
     def save(self, file: str | os.PathLike, scenario: Any = None) -> None:
@@ -151,11 +151,7 @@ class Solution(eqx.Module):
                 f"{names}: cost {float(self.cost):.6g}, final time {float(self.final_time):.6g}",
                 Status[self.status],
                 *([cause] if (cause := self.cause()) else []),
-                *(
-                    ["planned anew: no plan was found from the earlier one"]
-                    if bool(self.planned_anew)
-                    else []
-                ),
+                *(["planned anew: no plan was found from the earlier one"] if bool(self.fell_back) else []),
                 f"{int(self.iterations)} iterations, {int(self.interior_point_iterations)} steps of the interior point",
                 self.backends.report(),
                 self.certificate.report(),

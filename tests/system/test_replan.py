@@ -87,15 +87,15 @@ def through_another_corridor(mass):
 def test_where_the_earlier_plan_does_not_help_it_plans_anew(plan):
     scenario = jaxscp.scenarios.platform_to_platform()
     fresh, again = PLANNER(scenario), PLANNER.replan(plan, scenario)
-    assert not bool(fresh.planned_anew)
-    assert bool(again.planned_anew)
+    assert not bool(fresh.fell_back)
+    assert bool(again.fell_back)
     assert "planned anew" in again.report()
-    expected = eqx.tree_at(lambda s: s.planned_anew, fresh, again.planned_anew)
+    expected = eqx.tree_at(lambda s: s.fell_back, fresh, again.fell_back)
     for one, other in zip(jax.tree.leaves(again), jax.tree.leaves(expected), strict=True):
         np.testing.assert_array_equal(one, other)
     once_more = PLANNER.replan(again, scenario)
     assert jaxscp.status_names(once_more.status) == "converged"
-    assert not bool(once_more.planned_anew)
+    assert not bool(once_more.fell_back)
 
 
 @pytest.mark.slow
@@ -104,7 +104,7 @@ def test_an_infeasible_replan_is_the_earlier_plans():
     impossible = put(room(), lambda s: s.dilation_max, 0.6)  # s, for 6 m
     again = PLANNER.replan(PLANNER(room()), impossible)
     assert jaxscp.status_names(again.status) != "converged"
-    assert not bool(again.planned_anew)
+    assert not bool(again.fell_back)
 
 
 @pytest.mark.nightly
@@ -116,11 +116,11 @@ def test_elements_of_a_batch_plan_anew_by_themselves_and_have_derivatives(plan):
 
     def cost(plan, mass):
         found = PLANNER.replan(plan, through_another_corridor(mass))
-        return found.cost, found.planned_anew
+        return found.cost, found.fell_back
 
     slope = jax.value_and_grad(cost, 1, has_aux=True)
-    (costs, anew), slopes = jax.vmap(slope)(both, masses)
-    assert anew.tolist() == [True, False]
+    (costs, fell_back), slopes = jax.vmap(slope)(both, masses)
+    assert fell_back.tolist() == [True, False]
     for i, one in enumerate(plans):
         (value, _), derivative = slope(one, masses[i])
         np.testing.assert_allclose(costs[i], value, rtol=1e-8)  # the optimum is found to rounding

@@ -12,17 +12,17 @@ from jaxscp.core.types import Flag
 from jaxscp.solver.solution import Solution
 
 
-def better(found: Solution, anew: Callable[[Flag], Solution]) -> Solution:
+def better(found: Solution, alternative: Callable[[Flag], Solution]) -> Solution:
     """The solution found, if it converged or another one does not converge either; else the other one.
 
     Args:
         found: by a re-plan.
-        anew: makes the other one where the argument is true.
+        alternative: makes the other one where the argument is true.
     """
     needed = (found.status != Status.converged) & (found.status != Status.invalid_input)
     if not is_traced(found) and not bool(jnp.any(needed)):
         return found
-    other = anew(needed)
-    other = eqx.tree_at(lambda s: s.planned_anew, other, jnp.ones((), bool))
+    other = alternative(needed)
+    other = eqx.tree_at(lambda s: s.fell_back, other, jnp.ones((), bool))
     taken = needed & (other.status == Status.converged)
     return jax.tree.map(lambda a, b: jnp.where(taken, a, b), other, found)
