@@ -179,8 +179,10 @@ def _flight(scenario: jaxscp.LandingScenario, random: np.random.Generator) -> tu
             return True, fallbacks, ticks
         state = np.array(plan.trajectory.at(jnp.array([TICK])).state[0])
         noisy = state[:3] + NOISE * random.normal(size=3) / np.sqrt(3.0)
-        scenario = _from(scenario, state, noisy)
-        plan = PLANNER.replan(plan, scenario)
+        try:
+            plan = PLANNER.replan(plan, _from(scenario, state, noisy), TICK)
+        except jaxscp.InvalidScenario:  # the noise led out of the corridor
+            return False, fallbacks, ticks
         fallbacks += bool(plan.fell_back)
     return bool(np.linalg.norm(state[:3] - np.asarray(scenario.goal.position)) < NEAR), fallbacks, MOST_TICKS
 
@@ -188,9 +190,7 @@ def _flight(scenario: jaxscp.LandingScenario, random: np.random.Generator) -> tu
 def _from(
     scenario: jaxscp.LandingScenario, state: np.ndarray, position: np.ndarray
 ) -> jaxscp.LandingScenario:
-    """The scenario from a measured state: polytopes and joints that lie behind become the one that holds it."""
-    normals, offsets = np.asarray(scenario.corridor.normals), np.asarray(scenario.corridor.offsets)
-    inside = np.all(offsets - normals @ position >= 0.0, axis=1)
+    """The scenario from a measured state."""
     start = dataclasses.replace(
         scenario.start,
         position=jnp.asarray(position),
@@ -198,15 +198,4 @@ def _from(
         attitude=jnp.asarray(state[6:10] / np.linalg.norm(state[6:10])),
         body_rate=jnp.asarray(state[10:]),
     )
-    scenario = dataclasses.replace(scenario, start=start)
-    if not inside.any():
-        return scenario
-    passed = int(np.max(np.flatnonzero(inside)))
-    corridor = scenario.corridor
-    index = np.maximum(np.arange(corridor.count), passed)
-    joints = np.asarray(corridor.joints).copy()
-    joints[:passed] = position
-    corridor = dataclasses.replace(
-        corridor, normals=corridor.normals[index], offsets=corridor.offsets[index], joints=jnp.asarray(joints)
-    )
-    return dataclasses.replace(scenario, corridor=corridor)
+    return dataclasses.replace(scenario, start=start)

@@ -18,8 +18,6 @@ from jaxscp.core.status import Status, StatusCode, status_names
 from jaxscp.core.types import Flag, Scalar
 from jaxscp.problem.trajectory import Trajectory
 
-LEAST_PART = 0.1  # of scaled time
-
 
 class HeldPlan(eqx.Module):
     """A plan that passed verification, and the time at which it begins."""
@@ -38,12 +36,9 @@ class HeldPlan(eqx.Module):
     def remaining(self, time: Scalar | float) -> Trajectory:
         """The part of the plan from a time on, on as many nodes: the guess of a re-plan.
 
-        See ``Trajectory.remainder``. Before the start it is the whole plan, and near the end the last ``LEAST_PART`` of
-        scaled time.
+        See ``Trajectory.after``. Before the start it is the whole plan.
         """
-        plan = self.trajectory
-        tau = jnp.minimum(plan.scaled_time(time - self.start), 1.0 - LEAST_PART)
-        return plan.remainder(tau).with_dynamics(plan.dynamics)
+        return self.trajectory.after(time - self.start).with_dynamics(self.trajectory.dynamics)
 
     def state_at(self, time: Scalar | float) -> Float[Array, "states"]:
         """State that the plan has at a time, held at its ends; where a new plan may begin.

@@ -16,14 +16,17 @@ def allocate(route: Route, nodes: int) -> Int[Array, "intervals"]:
     """Leg of every interval, by the lengths of the legs.
 
     Every leg gets one interval at least, and the last one as many as a landing needs, if there are enough. The time
-    dilation adapts the mesh afterwards (Remark 1 of the paper).
+    dilation adapts the mesh afterwards (Remark 1 of the paper). Legs of length zero at the start lie behind the vehicle
+    (``passed``), and get none.
     """
     length, count = jnp.cumsum(route.lengths), route.lengths.shape[0]
-    spare = nodes - 1 - count
+    passed = jnp.sum(length[:-1] == 0.0)
+    spare = (nodes - 1 - count + passed).astype(length.dtype)
     fraction = length[:-1] / jnp.maximum(length[-1], 1e-9)
-    least = jnp.arange(1, count)
+    after = jnp.arange(count - 1, 0, -1)  # legs after each, which need an interval
+    least = jnp.maximum(jnp.arange(1, count) - passed, 0)
     ends = least + jnp.round(spare * fraction).astype(int)
-    ends = jnp.maximum(jnp.minimum(ends, nodes - 1 - IN_LAST - least[::-1] + 1), least)
+    ends = jnp.maximum(jnp.minimum(ends, nodes - 1 - IN_LAST - after + 1), least)
     return jnp.searchsorted(ends, jnp.arange(nodes - 1), side="right", method="compare_all").astype(int)
 
 
@@ -44,8 +47,8 @@ def usual_nodes(legs: int) -> int:
 def fits(allocation: Int[Array, "intervals"], fresh: Int[Array, "intervals"]) -> Flag:
     """Whether an allocation of another route may serve again, in place of a fresh one.
 
-    It does if it takes the legs in order, from the first to the last. Each must have half of the fresh one's intervals
-    at least. Else the route is another one.
+    It does if it takes the same legs in order, from the first to the last. Each must have half of the fresh one's
+    intervals at least. Else the route is another one.
 
     Example:
         >>> import jax.numpy as jnp
@@ -55,7 +58,9 @@ def fits(allocation: Int[Array, "intervals"], fresh: Int[Array, "intervals"]) ->
         (True, False, False)
     """
     steps = jnp.diff(allocation)
-    in_order = (allocation[0] == 0) & (allocation[-1] == fresh[-1]) & jnp.all((steps == 0) | (steps == 1))
+    in_order = (
+        (allocation[0] == fresh[0]) & (allocation[-1] == fresh[-1]) & jnp.all((steps == 0) | (steps == 1))
+    )
     number = lambda of: jnp.sum(of[:, None] == fresh[None], axis=0)  # noqa: E731
     return in_order & jnp.all(2 * number(allocation) >= number(fresh))
 

@@ -12,6 +12,7 @@ from jaxscp.core.types import Flag
 from jaxscp.landing.allocation import allocate, fits, usual_nodes
 from jaxscp.landing.guess import initial_guess
 from jaxscp.landing.mission import PARTS, Mission
+from jaxscp.landing.passed import without_passed
 from jaxscp.landing.problem import landing_problem
 from jaxscp.landing.structure import check_parts
 from jaxscp.landing.units import Units, in_units, units_of
@@ -94,6 +95,10 @@ class LandingScenario(Mission):
         check_parts(self)
         gates = 0 if self.gates is None else self.gates.centres.shape[0]
         return usual_nodes(self.corridor.offsets.shape[0] + gates)
+
+    def without_passed(self, context: Allocation, interval: Int[Array, ""]) -> "LandingScenario":
+        """The rest of the mission, whose start lies on an interval of a plan with this allocation."""
+        return without_passed(self, context[interval])  # pyright: ignore[reportReturnType]
 
     def in_solver_units(self, form: Form) -> tuple["LandingScenario", Units | None]:
         """The scenario in units taken from it, and the units.

@@ -8,6 +8,7 @@ import equinox as eqx
 import numpy as np
 
 from jaxscp.aot import aot
+from jaxscp.core.types import Scalar
 from jaxscp.problem.errors import InvalidScenario
 from jaxscp.problem.trajectory import Trajectory
 from jaxscp.scp.method import Method
@@ -65,7 +66,9 @@ class Planner(eqx.Module):
         """
         return self.pipeline(scenario)
 
-    def replan(self, solution: Solution | Trajectory, scenario: Scenario) -> Solution:
+    def replan(
+        self, solution: Solution | Trajectory, scenario: Scenario, elapsed: Scalar | float = 0.0
+    ) -> Solution:
         """Plan a changed scenario, from the solution of a similar one.
 
         Where that does not converge, the scenario is planned anew, as by a call; ``fell_back`` says so.
@@ -73,12 +76,14 @@ class Planner(eqx.Module):
         Args:
             solution: of this planner, or its trajectory: (nodes, states) and (nodes, controls). Each interval of a
                 solution keeps its polytope, if the new corridor has as many; else polytopes are chosen anew.
-            scenario: the changed one.
+            scenario: the changed one. Its start is the present state.
+            elapsed: s since the start of the solution, which only its rest serves. Of a solution, polytopes and gates
+                before that lie behind: they ask for nothing any more.
 
         Raises:
             InvalidScenario: as in a call; or if the trajectory has another number of nodes, states or controls.
         """
-        return self.pipeline.again(solution, scenario)
+        return self.pipeline.again(solution, scenario, elapsed)
 
     def map(
         self,

@@ -19,6 +19,8 @@ from jaxscp.problem.errors import InvalidProblem
 from jaxscp.problem.node_values import interval_at, node_times
 from jaxscp.problem.samples import ROUNDING, STEPS, Pieces, Samples, samples_at
 
+LEAST_PART = 0.1  # of scaled time
+
 
 class Trajectory(eqx.Module):
     """States and controls at the nodes; of a landing, in SI units.
@@ -190,6 +192,10 @@ class Trajectory(eqx.Module):
         """
         places = first + (1.0 - first) * jnp.linspace(0.0, 1.0, self.nodes)
         return self._at_scaled(places, 1.0 - first)
+
+    def after(self, time: Scalar | float) -> Trajectory:
+        """The part from a time in s on; near the end, the last ``LEAST_PART`` of scaled time. See ``remainder``."""
+        return self.remainder(jnp.minimum(self.scaled_time(time), 1.0 - LEAST_PART))
 
     def _at_scaled(self, places: Nodes, width: Scalar | float) -> Trajectory:
         """Nodes at scaled times that span a width, each value linear between the own nodes; without dynamics."""

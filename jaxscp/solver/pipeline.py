@@ -18,10 +18,10 @@ import jax.numpy as jnp
 from jax.core import Tracer
 
 from jaxscp.aot import aot, export, planner_cache
-from jaxscp.backends.xla import any_rank, jit_with_options
+from jaxscp.backends.xla import any_rank, is_traced, jit_with_options
 from jaxscp.core.implicit import undefined_unless
 from jaxscp.core.status import Status
-from jaxscp.core.types import Flag
+from jaxscp.core.types import Flag, Scalar
 from jaxscp.problem.canonical import canonical
 from jaxscp.problem.errors import InvalidScenario
 from jaxscp.problem.lowering import over_scaled_time
@@ -63,16 +63,27 @@ class Pipeline(eqx.Module):
             return compiled.run(inputs)
         return _conclude(self, *_solve(self, *_setup(self, inputs)))
 
-    def again(self, solution: Solution | Trajectory, scenario: Scenario) -> Solution:
+    def again(
+        self, solution: Solution | Trajectory, scenario: Scenario, elapsed: Scalar | float = 0.0
+    ) -> Solution:
         """The solution of a changed scenario, from the solution of a similar one, or from its trajectory.
 
         Where that does not converge, the scenario is planned anew.
+
+        Args:
+            solution: of the similar one.
+            scenario: the changed one.
+            elapsed: s since the solution's start.
         """
         known = solution if isinstance(solution, Solution) else None
         plan: Any = solution if known is None else known.trajectory
         self._check_plan(plan)
+        _check_class(scenario)
         fixed = dataclasses.replace(self, nodes=plan.nodes)
-        found = fixed._from_plan(plan.with_dynamics(None), None if known is None else known.context, scenario)
+        context = None if known is None else known.context
+        if is_traced(elapsed) or float(elapsed) != 0.0:
+            plan, scenario, context = _rest(plan, context, aot.with_arrays(scenario), elapsed)
+        found = fixed._from_plan(plan.with_dynamics(None), context, scenario)
         return better(found, functools.partial(fixed._from_guess, scenario))
 
     @any_rank
@@ -168,6 +179,16 @@ class Pipeline(eqx.Module):
             return planner_cache.Maker(self, self.trace, load_planner)
         trace = functools.partial(self.trace, batch_size=batch_size, devices=devices)
         return planner_cache.Maker((self, batch_size, devices), trace, load_planner)
+
+
+@jax.jit
+def _rest(plan: Trajectory, context: Any, scenario: Any, elapsed: Scalar | float):
+    """What is left of a plan and of its scenario after a time; polytopes are then chosen by the new route."""
+    if context is not None:
+        place = plan.scaled_time(elapsed) * (plan.nodes - 1)
+        interval = jnp.clip(jnp.floor(place), 0, plan.nodes - 2).astype(int)
+        scenario = scenario.without_passed(context, interval)
+    return plan.after(elapsed), scenario, None
 
 
 def _inputs(pipeline: Pipeline, scenario: Scenario, context: Any = None, plan: Trajectory | None = None):

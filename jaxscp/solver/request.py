@@ -42,6 +42,10 @@ class Request(eqx.Module):
         """Those of the problem."""
         return self.asked.time.nodes
 
+    def without_passed(self, context: Any, interval: Any) -> "Request":
+        """All of it: the problem says what is left."""
+        return self
+
     def in_solver_units(self, form: Form) -> tuple["Request", None]:
         """As it is: a problem states its own scale."""
         return self, None

@@ -2,6 +2,8 @@
 
 from typing import Any, Protocol, runtime_checkable
 
+from jaxtyping import Array, Int
+
 from jaxscp.core.types import Flag, Scalar
 from jaxscp.corridor.obstacles import Hull
 from jaxscp.problem.form import Form
@@ -59,6 +61,10 @@ class Scenario(Protocol):
 
     def usual_nodes(self) -> int:
         """Nodes of a planner that states none, by shapes alone."""
+        ...
+
+    def without_passed(self, context: Any, interval: Int[Array, ""]) -> Any:
+        """What is left of the scenario on an interval of a plan with this context."""
         ...
 
     def in_solver_units(self, form: Form) -> tuple["Scenario", Units | None]:

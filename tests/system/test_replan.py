@@ -10,6 +10,7 @@ import jaxscp
 from tests.support.rooms import put, room
 
 SAME_COST = 5e-3  # relative; another start may lead to another local optimum of nearly the same cost
+RESAMPLED = 2e-2  # of the time: the rest has as many nodes as the whole, and so a finer mesh
 PLANNER = jaxscp.Planner()
 
 CHANGES = {
@@ -76,6 +77,31 @@ def test_random_ends_replan(case):
             tried += 1
             assert jaxscp.status_names(PLANNER.replan(plan, scenario).status) == "converged"
     assert tried >= 15
+
+
+@pytest.mark.slow
+def test_the_rest_of_a_plan_is_that_plan():
+    """From states on the plan itself, again and again: the optimum of the rest is the rest of the optimum."""
+    base = jaxscp.scenarios.platform_to_platform()
+    plan, flown, tick = PLANNER(base), 0.0, 0.4
+    whole = float(plan.final_time)
+    while float(plan.final_time) > 3.0 * tick:
+        state = np.asarray(plan.trajectory.at(jnp.array([tick])).state[0])
+        plan = PLANNER.replan(plan, starting_at(base, state), tick)
+        flown += tick
+        assert jaxscp.status_names(plan.status) == "converged"
+        assert not bool(plan.fell_back)
+        np.testing.assert_allclose(flown + float(plan.final_time), whole, rtol=RESAMPLED)
+    assert flown > 0.5 * whole
+
+
+def starting_at(scenario, state):
+    parts = state[:3], state[3:6], state[6:10] / np.linalg.norm(state[6:10]), state[10:]
+    return eqx.tree_at(
+        lambda s: (s.start.position, s.start.velocity, s.start.attitude, s.start.body_rate),
+        scenario,
+        tuple(map(jnp.asarray, parts)),
+    )
 
 
 def through_another_corridor(mass):

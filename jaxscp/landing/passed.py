@@ -1,0 +1,54 @@
+"""The rest of a mission: after a part of the route, with the same shapes."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Int
+
+from jaxscp.landing.mission import Mission
+
+PASSED_GATE = 1e-3  # times a passed gate's shape, a thousand times its size: it asks for nothing any more
+
+
+def without_passed(mission: Mission, leg: Int[Array, ""] | int) -> Mission:
+    """The mission whose start lies on a leg of its route; what lies before the leg asks for nothing any more.
+
+    Shapes stay, so that no program compiles again: the polytope of the leg stands in place of those before it. Their
+    joints lie at the start, so that their legs have no length; so do passed gates, so wide that every way passes them.
+
+    Args:
+        mission: its start is the present state.
+        leg: of its route; zero changes nothing.
+
+    Example:
+        >>> import jax, jaxscp
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> rest = without_passed(jaxscp.scenarios.platform_to_platform(), 2)
+        >>> [bool((rest.corridor.normals[k] == rest.corridor.normals[2]).all()) for k in range(4)]
+        [True, True, True, False]
+    """
+    frozen = jax.lax.stop_gradient(mission.with_unit_directions())
+    route, corridor, here = frozen.route(), mission.corridor, mission.start.position
+    polytope = route.polytope[leg]
+    index = jnp.maximum(jnp.arange(corridor.count), polytope)
+    behind = jnp.arange(corridor.joints.shape[0]) < polytope
+    mission = eqx.tree_at(
+        lambda m: (m.corridor.normals, m.corridor.offsets, m.corridor.joints),
+        mission,
+        (
+            corridor.normals[index],
+            corridor.offsets[index],
+            jnp.where(behind[:, None], here, corridor.joints),
+        ),
+    )
+    if mission.gates is None or mission.gates.centres.shape[0] == 0:
+        return mission
+    passed, gates = route.to_gate < leg, mission.gates
+    return eqx.tree_at(
+        lambda m: (m.gates.centres, m.gates.shapes),
+        mission,
+        (
+            jnp.where(passed[:, None], here, gates.centres),
+            jnp.where(passed[:, None, None], PASSED_GATE * gates.shapes, gates.shapes),
+        ),
+    )
