@@ -2,10 +2,12 @@
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
 from jaxscp.core.arrays import namespace
 from jaxscp.corridor.clouds import PointCloud
 from jaxscp.corridor.obstacles import inside_corridor
+from jaxscp.corridor.polytope import Polytope
 from jaxscp.corridor.shapes import inscribed_radius
 from jaxscp.landing.mission import Mission
 
@@ -59,7 +61,10 @@ def _narrow(mission: Mission) -> str:
     radius = float(mission.airframe.radius)
     if mission.near_obstacles is not None:
         return ""
+    places = _places(mission)
     for number, cell in enumerate(mission.corridor.distinct()):
+        if _depth(cell, places) >= radius:  # the exact width needs a linear program, and SciPy's import
+            continue
         widest = inscribed_radius(cell)
         if widest < radius:
             return (
@@ -68,3 +73,17 @@ def _narrow(mission: Mission) -> str:
                 f"connect(..., margin={radius:.3g}); if they keep that distance, give near_obstacles"
             )
     return ""
+
+
+def _places(mission: Mission) -> Float[np.ndarray, "points 3"]:
+    """Start, joints and goal, and the middles between them, m."""
+    ends = [np.asarray(end.position)[None] for end in (mission.start, mission.goal)]
+    points = np.concatenate([ends[0], np.asarray(mission.corridor.joints), ends[1]])
+    return np.concatenate([points, 0.5 * (points[1:] + points[:-1])])
+
+
+def _depth(cell: Polytope, places: Float[np.ndarray, "points 3"]) -> float:
+    """Distance to the nearest face from the one of some places that lies deepest in a polytope, m."""
+    normals, offsets = np.asarray(cell.normals), np.asarray(cell.offsets)
+    sizes = np.maximum(np.linalg.norm(normals, axis=1), np.finfo(float).tiny)
+    return float(np.max(np.min((offsets - places @ normals.T) / sizes, axis=1)))

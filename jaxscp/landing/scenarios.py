@@ -105,6 +105,15 @@ def through(
         >>> float(jaxscp.scenarios.through(corridor, *ends, limits=limits).limits.speed)
         2.0
     """
+    scenario = _through(corridor, start, goal, obstacles, **parts)
+    for doubt in doubts(scenario):
+        warnings.warn(doubt, stacklevel=2)
+    return scenario
+
+
+def _through(
+    corridor: Corridor, start: BodyState, goal: BodyState, obstacles: Any, **parts: Unpack[Parts]
+) -> LandingScenario:
     paper: Parts = {
         "airframe": paper_mav(),
         "cone_angle": np.pi / 4,
@@ -112,17 +121,13 @@ def through(
         "dilation_min": 0.5,
         "dilation_max": 20.0,
     }
-    scenario = LandingScenario(
-        start=start, goal=goal, corridor=corridor, obstacles=obstacles, **(paper | parts)
-    )
-    for doubt in doubts(scenario):
-        warnings.warn(doubt, stacklevel=2)
-    return scenario
+    return LandingScenario(start=start, goal=goal, corridor=corridor, obstacles=obstacles, **(paper | parts))
 
 
 def _mission(start: BodyState, goal: BodyState, corridor: Corridor, obstacles) -> LandingScenario:
+    """A stored case; a test finds no doubt in it, and a new process need not look for one."""
     surfaces = [_surface(*map(np.asarray, corners)) for corners in obstacles]
-    return through(corridor, start, goal, floats(np.concatenate(surfaces)))
+    return _through(corridor, start, goal, floats(np.concatenate(surfaces)))
 
 
 def _surface(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
