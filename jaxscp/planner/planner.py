@@ -6,9 +6,9 @@ from typing import Any
 
 import equinox as eqx
 import numpy as np
+from jaxtyping import Array, Float
 
 from jaxscp.aot import aot
-from jaxscp.core.types import Scalar
 from jaxscp.problem.errors import InvalidScenario
 from jaxscp.problem.trajectory import Trajectory
 from jaxscp.scp.method import Method
@@ -67,7 +67,7 @@ class Planner(eqx.Module):
         return self.pipeline(scenario)
 
     def replan(
-        self, solution: Solution | Trajectory, scenario: Scenario, elapsed: Scalar | float = 0.0
+        self, solution: Solution | Trajectory, scenario: Scenario, elapsed: Float[Array, ""] | float = 0.0
     ) -> Solution:
         """Plan a changed scenario, from the solution of a similar one.
 

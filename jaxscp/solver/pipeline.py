@@ -81,7 +81,9 @@ class Pipeline(eqx.Module):
         _check_class(scenario)
         fixed = dataclasses.replace(self, nodes=plan.nodes)
         context = None if known is None else known.context
-        if is_traced(elapsed) or float(elapsed) != 0.0:
+        if not is_traced(elapsed) and not 0.0 <= float(elapsed) < float("inf"):
+            raise InvalidScenario(f"elapsed: expected seconds since the old plan's start, got {elapsed}.")
+        if is_traced(elapsed) or float(elapsed) > 0.0:
             plan, scenario, context = _rest(plan, context, aot.with_arrays(scenario), elapsed)
         found = fixed._from_plan(plan.with_dynamics(None), context, scenario)
         return better(found, functools.partial(fixed._from_guess, scenario))
@@ -183,12 +185,17 @@ class Pipeline(eqx.Module):
 
 @jax.jit
 def _rest(plan: Trajectory, context: Any, scenario: Any, elapsed: Scalar | float):
-    """What is left of a plan and of its scenario after a time; polytopes are then chosen by the new route."""
+    """The rest of a plan, of its scenario and of its context after a time."""
+    rest = plan.after(elapsed)
     if context is not None:
-        place = plan.scaled_time(elapsed) * (plan.nodes - 1)
-        interval = jnp.clip(jnp.floor(place), 0, plan.nodes - 2).astype(int)
-        scenario = scenario.without_passed(context, interval)
-    return plan.after(elapsed), scenario, None
+        # Old intervals in which the new ones lie: those are shorter, so that none of the old ones is left out.
+        first = plan.scaled_time(elapsed)
+        middles = first + (1.0 - first) * (jnp.arange(plan.nodes - 1) + 0.5) / (plan.nodes - 1)
+        interval = jnp.minimum(jnp.floor(middles * (plan.nodes - 1)), plan.nodes - 2).astype(int)
+        present = jnp.minimum(jnp.floor(first * (plan.nodes - 1)), plan.nodes - 2).astype(int)
+        scenario = scenario.without_passed(context, present)
+        context = jax.tree.map(lambda v: v[interval], context)
+    return rest, scenario, context
 
 
 def _inputs(pipeline: Pipeline, scenario: Scenario, context: Any = None, plan: Trajectory | None = None):

@@ -122,6 +122,12 @@ def test_anything_but_a_plan_is_refused(other):
         PLANNER.pipeline._check_plan(other)
 
 
+@pytest.mark.parametrize("elapsed", [-0.1, float("nan"), float("inf")])
+def test_a_time_before_the_plan_is_refused(elapsed):
+    with pytest.raises(InvalidScenario, match="elapsed: expected seconds since the old plan's start"):
+        PLANNER.replan(path(), ROOM, elapsed)
+
+
 def test_a_stack_of_plans_needs_vmap():
     with pytest.raises(InvalidScenario, match=r"1 leading axes; use jax\.vmap"):
         PLANNER.replan(jax.tree.map(lambda v: jnp.stack([v, v]), path()), ROOM)
