@@ -190,7 +190,9 @@ def _rest(plan: Trajectory, context: Any, scenario: Any, elapsed: Scalar | float
     if context is not None:
         # Old intervals in which the new ones lie: those are shorter, so that none of the old ones is left out.
         first = plan.scaled_time(elapsed)
-        middles = first + (1.0 - first) * (jnp.arange(plan.nodes - 1) + 0.5) / (plan.nodes - 1)
+        middles = first + (1.0 - first) * (jnp.arange(plan.nodes - 1, dtype=first.dtype) + 0.5) / (
+            plan.nodes - 1
+        )
         interval = jnp.minimum(jnp.floor(middles * (plan.nodes - 1)), plan.nodes - 2).astype(int)
         present = jnp.minimum(jnp.floor(first * (plan.nodes - 1)), plan.nodes - 2).astype(int)
         scenario = scenario.without_passed(context, present)
