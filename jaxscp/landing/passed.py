@@ -24,7 +24,7 @@ def without_passed(mission: Mission, leg: Int[Array, ""] | int) -> Mission:
         >>> import jax, jaxscp
         >>> jax.config.update("jax_enable_x64", True)
         >>> rest = without_passed(jaxscp.scenarios.platform_to_platform(), 2)
-        >>> [bool((rest.corridor.normals[k] == rest.corridor.normals[2]).all()) for k in range(4)]
+        >>> [bool((rest.corridor.offsets[k] == rest.corridor.offsets[2]).all()) for k in range(4)]
         [True, True, True, False]
     """
     frozen = jax.lax.stop_gradient(mission.with_unit_directions())
