@@ -40,16 +40,16 @@ def restarted(
         enabled: whether steps are taken at all.
     """
     slow = slower(problem, z)
+    arrays, rest = eqx.partition(problem, eqx.is_array)
+    run = jax.jit(lambda arrays, z, enabled: method.run(eqx.combine(arrays, rest), z, enabled))  # traced once
     zero = lambda v: jnp.zeros(v.shape, v.dtype)  # noqa: E731
-    none = jax.tree.map(zero, eqx.filter_eval_shape(method.run, problem, z, enabled))
+    none = jax.tree.map(zero, jax.eval_shape(run, arrays, z, enabled))
 
     def attempt(last, start):
         guess, first = start
         failed = jnp.any(jnp.stack([last.status == status for status in AGAIN]))
         needed = first | (enabled & failed & jnp.any(slow != z))
-        found = batching.where_needed(
-            needed, lambda fixed, _: method.run(*fixed), (problem, guess, enabled), last
-        )
+        found = batching.where_needed(needed, lambda fixed, _: run(*fixed), (arrays, guess, enabled), last)
         taken = first | (found.status == Status.converged)
         return jax.tree.map(lambda a, b: jnp.where(taken, a, b), found, last), None
 
