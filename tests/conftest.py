@@ -2,7 +2,6 @@
 
 import atexit
 import os
-import pathlib
 import shutil
 import tempfile
 
@@ -26,7 +25,8 @@ MOST_MAPPINGS = 20_000
 65 530) the compiler ends the process."""
 
 
-from jaxscp.backends import libraries  # noqa: E402, after the import hook
+from jaxscp.aot import mappings  # noqa: E402, after the import hook
+from jaxscp.backends import libraries  # noqa: E402
 
 
 @pytest.fixture(params=libraries.LEVELS)
@@ -53,7 +53,6 @@ def at_level(request, monkeypatch):
 
 def pytest_runtest_teardown(item, nextitem):
     """Drop compiled programs before a process has too many, between modules and after slow tests."""
-    mappings = pathlib.Path("/proc/self/maps")
     over = nextitem is None or nextitem.path != item.path or item.get_closest_marker("slow")
-    if over and mappings.exists() and mappings.read_bytes().count(b"\n") > MOST_MAPPINGS:
+    if over and mappings.count() > MOST_MAPPINGS:
         jax.clear_caches()

@@ -50,7 +50,7 @@ def _lost(leaf: np.ndarray) -> bool:
     return leaf.dtype.kind == "f" and bool(np.isnan(leaf).any())
 
 
-def rollout(scenario: Any, solution: Any) -> np.ndarray:
+def rollout(scenario: Any, solution: Any, accuracy: float = ACCURACY) -> np.ndarray:
     """States along the planned controls, (samples, 13), from the scenario's own start."""
     body, start = scenario.airframe.body, scenario.start
     mass, inertia = float(body.mass), np.asarray(body.inertia)
@@ -81,8 +81,8 @@ def rollout(scenario: Any, solution: Any) -> np.ndarray:
             "DOP853",
             np.linspace(0.0, 1.0, SAMPLES),
             args=(k,),
-            rtol=ACCURACY,
-            atol=ACCURACY,
+            rtol=accuracy,
+            atol=accuracy,
         )
         if not done.success:
             return np.full((1, 13), np.inf)

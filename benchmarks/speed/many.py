@@ -1,7 +1,7 @@
 """Many certified optima: distinct random instances in the default mode, from host arrays to host solutions.
 
-``planner.map`` against a plain loop over the compiled planner. On a CPU, also the compiled ``jax.vmap`` against the
-loop, and ``planner.map`` against two processes that are pinned to one core each and run at the same time.
+``planner.map`` against a plain loop over the compiled planner. On a CPU, also two more pairs: the compiled ``jax.vmap``
+and the loop; ``planner.map`` and two processes at once, each pinned to one core.
 """
 
 import multiprocessing
@@ -26,7 +26,7 @@ PATIENCE = 600.0  # s: for a process to compile and to plan
 
 
 def run(echo: Callable[[str], None], nodes: int, batch_size: int, total: int) -> dict[str, Any]:
-    """Figures of the default mode; sizes are those of a CPU, or on a GPU ``batch_size`` and ``total``."""
+    """Figures of the default mode; ``batch_size`` and ``total`` count on a GPU, and ``SIZES`` on a CPU."""
     planner, device = Planner(nodes=nodes), jax.devices()[0]
     echo(f"{device.device_kind}: the default mode, {nodes} nodes; every instance another corridor")
     return _on_cpu(planner, echo) if device.platform == "cpu" else _on_gpu(planner, batch_size, total, echo)
@@ -84,7 +84,7 @@ def _over_loop(planner: Planner, batch: Any, size: int, echo: Callable[[str], No
 
 
 def _vmapped(planner: Planner, batch: Any, echo: Callable[[str], None]) -> dict[str, float]:
-    """Compile time of a program by ``jax.vmap``, and its rate over that of a loop."""
+    """Compile time of a program by ``jax.vmap``, and its rate over the rate of a loop."""
     some = jax.tree.map(lambda v: v[:VMAPPED], batch)
     ones = [part(batch, i) for i in range(VMAPPED)]
     began = time.perf_counter()
@@ -100,7 +100,7 @@ def _vmapped(planner: Planner, batch: Any, echo: Callable[[str], None]) -> dict[
 def _over_processes(
     planner: Planner, batch: Any, echo: Callable[[str], None]
 ) -> tuple[float, tuple[Any, Any], float]:
-    """Rate of ``planner.map`` over that of pinned processes; the facts and seconds of ``planner.map``."""
+    """Rate of ``planner.map`` over the rate of pinned processes; its facts and seconds."""
     context = multiprocessing.get_context("spawn")
     barrier = context.Barrier(PROCESSES + 1)
     arguments = [(barrier, planner.nodes, i) for i in range(PROCESSES)]

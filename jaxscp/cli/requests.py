@@ -27,7 +27,7 @@ MODES: dict[str, Callable[[int | None], Planner]] = {
     # second derivatives, safe between nodes
     "default": lambda nodes: Planner(nodes=nodes),
     # Table I of the paper
-    "paper": lambda nodes: Planner.paper(nodes),
+    "paper": Planner.paper,
     # a light weight takes long steps, many of them
     "proximal": lambda nodes: Planner(nodes=nodes, method=PTR(ProximalTrustRegion(0.02), max_iterations=200)),
 }

@@ -132,7 +132,7 @@ def alone_on_a_cpu(act: Callable[[Any], State], fixed: Any) -> State:
     The result has no derivative: apply ``jax.lax.stop_gradient`` to ``fixed`` first.
 
     Args:
-        act: function of one element; its loops are those of this file.
+        act: function of one element; it loops by this file's functions.
         fixed: any pytree.
     """
     return in_chunks(act, fixed) if CHUNK.get(jax.default_backend()) == ALONE else act(fixed)

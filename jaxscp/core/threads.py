@@ -13,9 +13,8 @@ from jaxscp.core.arrays import double_precision
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-IN_FLIGHT = (
-    8  # items a thread that are begun or finished but not yet taken: a slow item does not stop the others
-)
+# Items a thread that are begun or finished but not yet taken: a slow item does not stop the others.
+IN_FLIGHT = 8
 
 
 def usable_cores() -> int:

@@ -16,9 +16,7 @@ from jaxscp.mission.planning import Planned, clearance
 from jaxscp.simulation.vehicles import FEET_DEPTH
 
 MEMORY = 12.0  # m of the way after which a scan is forgotten
-LEAST_CLEARANCE = (
-    0.23  # m from the latest scan to the rest of the plan: the hull's 0.115 m and as much for tracking
-)
+LEAST_CLEARANCE = 0.23  # m from the latest scan to the rest of the plan: the hull and as much for tracking
 _LATENCY = 0.1  # s from an order to the begin of a plan
 _STOPPING = 0.35  # s of the plan that a stop still takes
 _FAILURES = 6  # looks without a plan before a task is given up

@@ -24,10 +24,11 @@ from jaxscp.simulation import (
     simulated_mav,
     vehicle_state,
 )
+from jaxscp.simulation.simulate import CONTROL
 from jaxscp.simulation.vehicles import FEET_DEPTH
 
 PERIODS = 50  # of 10 ms between two looks of the commander
-CHUNK = 0.01 * PERIODS  # s
+CHUNK = CONTROL * PERIODS  # s
 
 
 class Craft:

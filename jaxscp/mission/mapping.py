@@ -1,18 +1,18 @@
 """A map of recent scans, in the frame of the vehicle's odometry. It lives on the host."""
 
+import jax.numpy as jnp
 import numpy as np
+import scipy
 from jaxtyping import Float
 
 from jaxscp.corridor import PointCloud
+from jaxscp.dynamics.rotations import rotation_matrix
 
 Points = Float[np.ndarray, "_ 3"]
 
 _NEAREST = 0.5  # m: returns of leaves beside the vehicle; obstacles were seen from afar
-_NEAR, _MANY, _FEW = (
-    4.0,
-    4,
-    3,
-)  # m; returns, itself included, that make an obstacle nearer and farther than that
+# m; and returns, itself included, that make an obstacle nearer and farther than that
+_NEAR, _MANY, _FEW = 4.0, 4, 3
 _SPACING = 0.15, 0.05  # m, and m for each metre of distance: in which its neighbours lie
 
 
@@ -70,10 +70,8 @@ class RecentMap:
         """The points without those that are nearly alone: single leaves."""
         if not self.denoise or not len(points):
             return points
-        from scipy.spatial import KDTree
-
         distance = np.linalg.norm(points - place, axis=1)
-        tree = KDTree(points)
+        tree = scipy.spatial.KDTree(points)
         around = tree.query_ball_point(points, _SPACING[0] + _SPACING[1] * distance, return_length=True)
         return points[around >= np.where(distance < _NEAR, _MANY, _FEW)]
 
@@ -82,12 +80,5 @@ def in_odometry_frame(
     points: Points, seen: Float[np.ndarray, "points"], state: Float[np.ndarray, "13"]
 ) -> Points:
     """Points of a scan from body axes into the frame of the odometry; those without return are left out."""
-    w, x, y, z = state[6:10]
-    turn = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    turn = np.asarray(rotation_matrix(jnp.asarray(state[6:10])))
     return state[:3] + points[seen > 0.5] @ turn.T

@@ -2,12 +2,16 @@
 
 import dataclasses
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from jaxscp.dynamics.rotations import rotation_matrix
 from jaxscp.mission.craft import Record
 from jaxscp.mission.phases import Phase
 from jaxscp.simulation.bodies import DECK_HEIGHT, FEET, FOOT
+from jaxscp.simulation.simulate import TICK
 from jaxscp.simulation.vehicles import FEET_DEPTH
 
 HULL = 0.115  # m: half the diagonal and a rotor's radius
@@ -15,7 +19,6 @@ _AWAY = 0.5  # m over the deck: after that a contact is a landing
 _CONTACT = 0.0005  # m
 _ON_DECK = 0.3  # m from the deck's centre
 _CARRIER = 0.65  # m, radius of the carrier
-_RATE = 200  # ticks a second
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,7 +85,7 @@ def assess(record: Record, attempts: int, goal: Float[np.ndarray, "3"]) -> Outco
         tilt=numbers[2],
         least_distance=float(distance.min()),
         drift=float(np.linalg.norm((flight.vehicle - flight.estimate)[:, :3], axis=1).max()),
-        duration=len(height) / _RATE,
+        duration=len(height) * TICK,
         where=numbers[3],
     )
 
@@ -115,10 +118,4 @@ def _relative(vehicle: np.ndarray, carrier: np.ndarray) -> tuple[np.ndarray, np.
 
 
 def _matrices(q: np.ndarray) -> Float[np.ndarray, "ticks 3 3"]:
-    w, x, y, z = q.T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), 2, 0)
+    return np.asarray(jax.vmap(rotation_matrix)(jnp.asarray(q)))

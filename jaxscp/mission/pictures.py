@@ -15,9 +15,9 @@ from jaxscp.mission.outcome import Outcome
 from jaxscp.plot.style import BLACK, BLUE, DASHED, GOAL, GREY, LEGEND, LIMIT, ORANGE, START
 from jaxscp.simulation import Scene
 from jaxscp.simulation.bodies import DECK_HEIGHT
+from jaxscp.simulation.simulate import TICK
 from jaxscp.simulation.vehicles import FEET_DEPTH
 
-_RATE = 200  # samples a second of a record
 _FRAMES = 8  # a second of an animation, each for a quarter of a second of flight
 _SKIP = 50  # samples between frames
 
@@ -76,8 +76,8 @@ def draw_scene(ax: Axes, scene: Scene, axes: tuple[int, int]) -> None:
 def draw_take_off(ax: Axes, mission: Mission, seconds: float = 5.0) -> Axes:
     """Thrust as a fraction of the greatest, and height over the deck, against time."""
     flight = mission.craft.record.flight()
-    count = int(seconds * _RATE)
-    time = np.arange(1, len(flight.vehicle) + 1)[:count] / _RATE
+    count = int(seconds / TICK)
+    time = np.arange(1, len(flight.vehicle) + 1)[:count] * TICK
     share = flight.thrusts[:count].sum(axis=1) / float(mission.case.world.motors.thrust_max.sum())
     height = _heights(np.asarray(flight.vehicle), np.asarray(flight.carrier))[:count]
     ax.plot(time, height, color=BLUE, label="height over the deck [m]")
@@ -90,7 +90,7 @@ def draw_take_off(ax: Axes, mission: Mission, seconds: float = 5.0) -> Axes:
 def draw_errors(ax: Axes, mission: Mission) -> Axes:
     """Drift of the odometry, and the error of the deck's estimated place relative to the vehicle, against time."""
     flight = mission.craft.record.flight()
-    time = np.arange(1, len(flight.vehicle) + 1) / _RATE
+    time = np.arange(1, len(flight.vehicle) + 1) * TICK
     drift = (flight.estimate - flight.vehicle)[:, :3]
     deck = flight.deck[:, :3] - flight.estimate[:, :3]
     truth = flight.carrier[:, :3] - flight.vehicle[:, :3]

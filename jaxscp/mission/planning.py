@@ -1,4 +1,4 @@
-"""From a map to a plan: corridor, scenario, certified trajectory. It runs on the host."""
+"""From a map to a plan: corridor, scenario, trajectory. It runs on the host."""
 
 import dataclasses
 import warnings
@@ -6,6 +6,7 @@ from typing import Any
 
 import jax
 import numpy as np
+import scipy
 from jaxtyping import Float
 
 from jaxscp.core.status import status_names
@@ -135,6 +136,4 @@ def clearance(points: Float[np.ndarray, "points 3"], way: Float[np.ndarray, "sam
     """Least distance in m between points and samples of a way; infinite without points."""
     if not len(points) or not len(way):
         return np.inf
-    from scipy.spatial import KDTree
-
-    return float(KDTree(points).query(way)[0].min())
+    return float(scipy.spatial.KDTree(points).query(way)[0].min())

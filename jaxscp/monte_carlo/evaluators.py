@@ -7,8 +7,8 @@ from typing import Any
 
 import jax
 import numpy as np
-from jax.sharding import PartitionSpec
 
+from jaxscp.aot.aot import batched
 from jaxscp.core.status import STATUS_NAMES
 from jaxscp.core.threads import in_order, usable_cores
 from jaxscp.monte_carlo.errors import SweepError
@@ -152,9 +152,4 @@ def _batched(how: Together, key: ById) -> Any:
     def one(row: Any) -> dict[str, jax.Array]:
         return traced_arrays(outcome_of(key.study.run(key.study.insert(row))))
 
-    if not how.devices:
-        return jax.jit(jax.vmap(one))
-    mesh = jax.sharding.Mesh(np.asarray(how.devices), ("cases",))
-    spec = PartitionSpec("cases")
-    # the loops of a solver end at other times on each device, and no device needs another's data
-    return jax.jit(jax.shard_map(jax.vmap(one), mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False))
+    return jax.jit(batched(one, how.devices))

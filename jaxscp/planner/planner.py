@@ -112,7 +112,7 @@ class Planner(eqx.Module):
             progress: called with the number of scenarios planned and the number of all, None if unknown.
 
         Returns:
-            Solutions with a leading axis, as NumPy arrays; or what ``keep`` makes of them. An invalid scenario has the
+            Solutions with a leading axis, as NumPy arrays; with ``keep``, its results. An invalid scenario has the
             status ``invalid_input``, and NaN in every float.
 
         Raises:

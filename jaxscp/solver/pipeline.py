@@ -59,9 +59,7 @@ class Pipeline(eqx.Module):
             self.check(scenario)
             return solution
         self.check(scenario)
-        if (compiled := planner_cache.cached(self._maker(), inputs)) is not None:
-            return compiled.run(inputs)
-        return _conclude(self, *_solve(self, *_setup(self, inputs)))
+        return self.program(inputs)(inputs)
 
     def again(
         self, solution: Solution | Trajectory, scenario: Scenario, elapsed: Scalar | float = 0.0
@@ -188,15 +186,12 @@ def _rest(plan: Trajectory, context: Any, scenario: Any, elapsed: Scalar | float
     """The rest of a plan, of its scenario and of its context after a time."""
     rest = plan.after(elapsed)
     if context is not None:
+        first, count = plan.scaled_time(elapsed), plan.nodes - 1
+        interval_of = lambda tau: jnp.minimum(jnp.floor(tau * count), count - 1).astype(int)  # noqa: E731
+        scenario = scenario.without_passed(context, interval_of(first))
         # Old intervals in which the new ones lie: those are shorter, so that none of the old ones is left out.
-        first = plan.scaled_time(elapsed)
-        middles = first + (1.0 - first) * (jnp.arange(plan.nodes - 1, dtype=first.dtype) + 0.5) / (
-            plan.nodes - 1
-        )
-        interval = jnp.minimum(jnp.floor(middles * (plan.nodes - 1)), plan.nodes - 2).astype(int)
-        present = jnp.minimum(jnp.floor(first * (plan.nodes - 1)), plan.nodes - 2).astype(int)
-        scenario = scenario.without_passed(context, present)
-        context = jax.tree.map(lambda v: v[interval], context)
+        middles = first + (1.0 - first) * (jnp.arange(count, dtype=first.dtype) + 0.5) / count
+        context = jax.tree.map(lambda v: v[interval_of(middles)], context)
     return rest, scenario, context
 
 

@@ -64,7 +64,7 @@ class Scenario(Protocol):
         ...
 
     def without_passed(self, context: Any, interval: Int[Array, ""]) -> Any:
-        """What is left of the scenario on an interval of a plan with this context."""
+        """The rest of the scenario, whose start lies on an interval of a plan with this context."""
         ...
 
     def in_solver_units(self, form: Form) -> tuple["Scenario", Units | None]:

@@ -14,8 +14,8 @@ PARTS = 50  # chords an interval, about
 def clearance(hull: Hull, integrated: Rollout) -> Scalar:
     """Least distance in metres from the hull to an obstacle, or a little less; negative where one is in the hull.
 
-    Between two of its points, the path lies within (h / 4) V of the chord. h is the time between the points, V the
-    length of the velocity's curve, and h / 4 the greatest value of the second derivative's Green function. So the
+    Between two of its points, the path lies within (h / 4) V of the chord. h is the time between the points, and V the
+    length of the velocity's curve; h / 4 is the greatest value of the second derivative's Green function. So the
     distance to a chord, less that bound, holds between the samples. Obstacles beyond ``reach`` are not known.
 
     Args:

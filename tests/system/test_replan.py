@@ -113,13 +113,13 @@ def starting_at(scenario, state):
 
 
 def through_another_corridor(mass):
-    """A scenario far from that of the room's plan."""
+    """Another scenario than the room: its plan is a poor start."""
     return eqx.tree_at(lambda s: s.airframe.body.mass, jaxscp.scenarios.platform_to_platform(), mass)
 
 
 @pytest.mark.slow
 def test_an_infeasible_replan_is_the_earlier_plans():
-    """Neither start leads to a solution, so the status is that of the re-plan."""
+    """Neither start leads to a solution: the re-plan's own status is reported."""
     impossible = put(room(), lambda s: s.dilation_max, 0.6)  # s, for 6 m
     again = PLANNER.replan(PLANNER(room()), impossible)
     assert jaxscp.status_names(again.status) != "converged"
