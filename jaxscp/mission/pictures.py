@@ -28,7 +28,7 @@ def page(mission: Mission) -> Figure:
     above, side, start, errors = figure.subplots(2, 2).ravel()
     draw_view(above, mission, (0, 1))
     draw_view(side, mission, (1, 2))
-    above.legend(loc="upper right", **LEGEND)
+    side.legend(loc="lower center", bbox_to_anchor=(0.5, 1.02), **LEGEND)  # free space beside the narrow view
     draw_take_off(start, mission)
     draw_errors(errors, mission)
     return figure
@@ -42,7 +42,7 @@ def draw_view(ax: Axes, mission: Mission, axes: tuple[int, int]) -> Axes:
     for number, (_, planned) in enumerate(mission.commander.plans):
         if planned.trajectory is not None:
             nodes = np.asarray(planned.trajectory.state)
-            label = "plans" if number == 0 else None
+            label = "plans, in the frame of the odometry" if number == 0 else None
             ax.plot(nodes[:, a], nodes[:, b], color=ORANGE, label=label, **DASHED)
     ax.plot(flight.carrier[:, a], flight.carrier[:, b], color=BLUE, linewidth=2.0, label="carrier")
     ax.plot(flight.vehicle[:, a], flight.vehicle[:, b], color=BLACK, linewidth=1.2, label="vehicle, true")

@@ -3,7 +3,6 @@
 import importlib.util
 import os
 import shutil
-import signal
 import subprocess
 import sys
 import time
@@ -150,28 +149,36 @@ def test_a_failing_function_names_the_case(tmp_path, counted):
         mc.sweep(counted(50, 38), tmp_path / "s", chunk=10)
 
 
+def chunks_done(folder):
+    return len(Store(folder).done()) if folder.exists() else 0
+
+
+def killed_at_a_random_moment(folder, rng):
+    """Whether a driver of the sweep was killed. Every third dies while it starts, the others after a new chunk."""
+    environment = os.environ | {"PYTHONPATH": str(SUPPORT.parents[1]), "JAX_ENABLE_X64": "1"}
+    driver = subprocess.Popen([sys.executable, str(SUPPORT / "dice.py"), str(folder)], env=environment)
+    new = 0 if rng.uniform() < 1 / 3 else chunks_done(folder) + 1
+    while driver.poll() is None and chunks_done(folder) < new:
+        time.sleep(0.005)
+    time.sleep(rng.uniform(0.0, 2.0 if new == 0 else 0.1))
+    alive = driver.poll() is None
+    driver.kill()
+    driver.wait()
+    return alive
+
+
 @pytest.mark.parametrize(
     "times", [pytest.param(4, marks=pytest.mark.slow), pytest.param(20, marks=pytest.mark.nightly)]
 )
 def test_kill_9_at_random_moments_loses_and_repeats_nothing(tmp_path, times):
-    planned = dice.study(400, run=dice.slow_throw)
-    rng, kills = np.random.default_rng(0), 0
-    environment = os.environ | {"PYTHONPATH": str(SUPPORT.parents[1])}
-    code = [sys.executable, str(SUPPORT / "dice.py"), str(tmp_path / "s")]
-    done = 0
+    folder, rng, kills = tmp_path / "s", np.random.default_rng(0), 0
     while kills < times:
-        driver = subprocess.Popen(code, env=environment)
-        time.sleep(1.5 + rng.uniform(0.0, 1.2))
-        if driver.poll() is None:
-            driver.send_signal(signal.SIGKILL)
-            kills += 1
-        driver.wait()
-        markers = len(Store(tmp_path / "s").done()) if (tmp_path / "s").exists() else 0
-        assert markers >= done
-        done = markers
-        if done == 20 and kills < times:
-            shutil.rmtree(tmp_path / "s")
-            done = 0
+        done = chunks_done(folder)
+        kills += killed_at_a_random_moment(folder, rng)
+        assert chunks_done(folder) >= done
+        if chunks_done(folder) == 20 and kills < times:
+            shutil.rmtree(folder)
+    planned = dice.study(400, run=dice.slow_throw)
     killed = mc.sweep(planned, tmp_path / "s", keep=mc.FailedTrajectories(), chunk=20)
     identical(killed, mc.sweep(planned, tmp_path / "whole", keep=mc.FailedTrajectories(), chunk=20))
 
