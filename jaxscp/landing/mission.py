@@ -184,6 +184,9 @@ class Mission(eqx.Module):
     """None: all."""
     goal_fixed: Components | None = None
     """None: all."""
+    recovery: Scalar = eqx.field(default=0.0, converter=as_floats)
+    """m by which the start may lie outside of a wall or a zone. Above zero, it may also exceed a limit by a tenth. The
+    first four intervals lead back inside. A re-plan takes 0.1 m, for measured starts."""
     near_obstacles: Obstacles | None = None
     """Obstacle points that the certificate measures the hull's clearance to: ``build_corridor`` and
     ``corridor.obstacles_near`` make them. None: no points are known."""

@@ -30,6 +30,7 @@ from jaxscp.landing.constraints import (
     within_tilt,
 )
 from jaxscp.landing.mission import Mission, Weights
+from jaxscp.landing.recovery import limits_at_nodes, wall_relief, zones_at_nodes
 from jaxscp.problem.boundary import Boundary, EndCondition, EndRows
 from jaxscp.problem.constraint import (
     DISTANCE_TOLERANCE,
@@ -185,7 +186,7 @@ def _ends(s: Mission, form: Form) -> tuple[EndCondition, EndCondition]:
 def _corridor_and_cone(s: Mission, polytope: Int[Array, "intervals"]):
     nodes = polytope.shape[0] + 1
     cell = jnp.concatenate([polytope, polytope[-1:]])
-    faces = HalfSpaces(s.corridor.normals[cell], s.corridor.offsets[cell])
+    faces = HalfSpaces(s.corridor.normals[cell], s.corridor.offsets[cell] + wall_relief(s, cell))
     everywhere = jnp.ones(nodes, bool)
     yield _per_node("corridor", inside_half_spaces, NonNegative(), faces, everywhere)
     low, high = s.airframe.thrust_min, s.airframe.thrust_max
@@ -230,7 +231,7 @@ def _per_node(
 
 
 def _flight_limits(s: Mission, nodes: int):
-    everywhere = jnp.ones(nodes, bool)
+    everywhere, at_nodes = jnp.ones(nodes, bool), limits_at_nodes(s, nodes)
     for name, function, allowed in (
         ("speed", within_speed, lambda limit: LIMIT_TOLERANCE * limit),
         (
@@ -246,7 +247,7 @@ def _flight_limits(s: Mission, nodes: int):
                 name.replace("_", " "),
                 function,
                 SecondOrder(),
-                repeat_over_nodes(limit, nodes),
+                getattr(at_nodes, name),
                 everywhere,
                 tolerance=allowed(limit),
             )
@@ -264,7 +265,7 @@ def _flight_limits(s: Mission, nodes: int):
 
 def _zones(s: Mission, nodes: int, at_gates: Int[Array, "gates"]):
     if s.keep_out is not None and s.keep_out.centres.shape[0]:
-        zones = repeat_over_nodes(Zones(s.keep_out.centres, s.keep_out.shapes), nodes)
+        zones = Zones(*zones_at_nodes(s, s.keep_out, nodes))
         everywhere = jnp.ones(nodes, bool)
         keep_out = _per_node("keep-out", outside_zones, NonNegative(), zones, everywhere)
         yield dataclasses.replace(keep_out, convex=False)

@@ -9,8 +9,8 @@ import numpy as np
 
 from jaxscp.landing.hover import can_hover
 from jaxscp.landing.mission import Mission
+from jaxscp.landing.recovery import CLEARANCE, LIMIT_RECOVERY
 
-CLEARANCE = 1e-6  # m by which start and goal may miss their polytope, for rounding
 PADDED = 1.0  # offset of a row that only pads: 0 . p <= 1
 UNIT_NORM = 1e-3  # by which a quaternion's norm may differ from one
 
@@ -131,9 +131,11 @@ def _corridor_rules(s: Mission, xp):
     corridor = s.corridor
     inside_first = xp.min(corridor.offsets[0] - corridor.normals[0] @ s.start.position)
     inside_last = xp.min(corridor.offsets[-1] - corridor.normals[-1] @ s.goal.position)
+    yield Rule(s.recovery >= 0.0, f"recovery: must not be negative, got {s.recovery} m.")
     yield Rule(
-        inside_first >= -CLEARANCE,
-        f"start.position: lies {-inside_first} m outside the corridor's first polytope (empty, or elsewhere?).",
+        inside_first >= -CLEARANCE - s.recovery,
+        f"start.position: lies {-inside_first} m outside the corridor's first polytope (empty, or elsewhere?). "
+        f"Of a measured start, recovery allows {s.recovery} m.",
     )
     yield Rule(
         inside_last >= -CLEARANCE,
@@ -194,15 +196,29 @@ def _flight_limit_rules(s: Mission, xp):
                 continue
             part, unit = sizes[name]
             size = xp.sqrt(xp.sum(getattr(getattr(s, end), part) ** 2))
-            yield Rule(size <= limit, f"{end}.{part}: {size} {unit} is beyond limits.{name}, {limit} {unit}.")
+            yield Rule(
+                size <= limit * _beyond_limits(s, end, xp),
+                f"{end}.{part}: {size} {unit} is beyond limits.{name}, {limit} {unit}.",
+            )
     if s.limits.tilt is not None:
         yield Rule(
             s.limits.tilt < np.pi, f"limits.tilt: must be below pi radians, got {s.limits.tilt}; in degrees?"
         )
         for end, fixed in (("start", s.start_fixed), ("goal", s.goal_fixed)):
             across = xp.sum(getattr(s, end).attitude[1:3] ** 2)
-            inside = across <= xp.sin(0.5 * s.limits.tilt) ** 2 + CLEARANCE
+            inside = across <= xp.sin(0.5 * s.limits.tilt * _beyond_limits(s, end, xp)) ** 2 + CLEARANCE
             yield Rule(inside | (fixed is not None), f"{end}.attitude: tilted by more than limits.tilt.")
+
+
+def _beyond_limits(s: Mission, end: str, xp):
+    """Factor on limits: a start that is measured may exceed them."""
+    return xp.where(s.recovery > 0.0, 1.0 + LIMIT_RECOVERY, 1.0) if end == "start" else 1.0
+
+
+def _depths(away, shapes, xp):
+    """Depth of a point in each zone in m, exact for balls; negative outside."""
+    least = 1.0 / xp.sqrt(xp.max(xp.sum(shapes**2, axis=2), axis=1))
+    return (1.0 - xp.sqrt(xp.sum(away**2, axis=-1))) * least
 
 
 def _zone_rules(s: Mission, xp):
@@ -216,7 +232,8 @@ def _zone_rules(s: Mission, xp):
     if s.keep_out is not None:
         for end, fixed in (("start", s.start_fixed), ("goal", s.goal_fixed)):
             away = xp.einsum("zrc,zc->zr", s.keep_out.shapes, getattr(s, end).position - s.keep_out.centres)
-            outside = xp.all(xp.sum(away**2, axis=-1) >= 1.0)
+            depth = _depths(away, s.keep_out.shapes, xp)
+            outside = xp.all(depth <= (s.recovery if end == "start" else 0.0))
             yield Rule(outside | (fixed is not None), f"{end}.position: lies inside a zone of keep_out.")
     if s.gates is not None:
         heights = xp.einsum("kfc,gc->gkf", s.corridor.normals, s.gates.centres) - s.corridor.offsets

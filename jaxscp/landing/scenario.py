@@ -14,6 +14,7 @@ from jaxscp.landing.guess import initial_guess
 from jaxscp.landing.mission import PARTS, Mission
 from jaxscp.landing.passed import without_passed
 from jaxscp.landing.problem import landing_problem
+from jaxscp.landing.recovery import RECOVERY, starts_outside
 from jaxscp.landing.structure import check_parts
 from jaxscp.landing.units import Units, in_units, units_of
 from jaxscp.landing.validation import check_types, valid, validate
@@ -95,6 +96,14 @@ class LandingScenario(Mission):
         check_parts(self)
         gates = 0 if self.gates is None else self.gates.centres.shape[0]
         return usual_nodes(self.corridor.offsets.shape[0] + gates)
+
+    def measured(self) -> "LandingScenario":
+        """The same; its start may lie a little outside of walls, zones and limits."""
+        return eqx.tree_at(lambda s: s.recovery, self, jnp.maximum(self.recovery, RECOVERY))
+
+    def starts_outside(self) -> Flag:
+        """Whether its start does."""
+        return starts_outside(self.with_unit_directions())
 
     def without_passed(self, context: Allocation, interval: Int[Array, ""]) -> "LandingScenario":
         """The rest of the mission, whose start lies on an interval of a plan with this allocation."""

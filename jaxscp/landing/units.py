@@ -237,5 +237,6 @@ def in_units(mission, units: Units):
         keep_out=u._ellipsoids(m.keep_out),
         gates=u._ellipsoids(m.gates),
         deck_velocity=None if m.deck_velocity is None else u.matrix @ m.deck_velocity / u.speed,
+        recovery=m.recovery / u.length,
         near_obstacles=None,  # the certificate reads them, in the user's units
     )

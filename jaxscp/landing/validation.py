@@ -90,7 +90,7 @@ def _expected_shapes(s: Mission):
         yield f"{name}.body_rate", state.body_rate, (3,)
     yield "corridor.normals", s.corridor.normals, (polytopes, faces, 3)
     yield "corridor.joints", s.corridor.joints, (max(polytopes - 1, 0), 3)
-    for name in ("cone_angle", "dilation_min", "dilation_max"):
+    for name in ("cone_angle", "dilation_min", "dilation_max", "recovery"):
         yield name, getattr(s, name), ()
     for name in ("speed", "tilt", "body_rate", "thrust_rate"):
         if getattr(s.limits, name) is not None:

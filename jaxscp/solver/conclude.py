@@ -79,6 +79,7 @@ def conclude(
         z=z,
         context=context,
         fell_back=jnp.zeros((), bool),
+        recovers=jnp.zeros((), bool),
     )
 
 

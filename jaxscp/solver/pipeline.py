@@ -81,8 +81,9 @@ class Pipeline(eqx.Module):
         context = None if known is None else known.context
         if not is_traced(elapsed) and not 0.0 <= float(elapsed) < float("inf"):
             raise InvalidScenario(f"elapsed: expected seconds since the old plan's start, got {elapsed}.")
+        scenario = aot.with_arrays(scenario).measured()
         if is_traced(elapsed) or float(elapsed) > 0.0:
-            plan, scenario, context = _rest(plan, context, aot.with_arrays(scenario), elapsed)
+            plan, scenario, context = _rest(plan, context, scenario, elapsed)
         found = fixed._from_plan(plan.with_dynamics(None), context, scenario)
         return better(found, functools.partial(fixed._from_guess, scenario))
 
@@ -141,7 +142,7 @@ class Pipeline(eqx.Module):
 
     def setup(self, scenario: Scenario) -> tuple[ScaledTimeProblem, Any, Any]:
         """Problem over scaled time, first node variables and context: the inputs of the iterations."""
-        _, problem, z, (_, context, _) = _inputs(self, scenario)
+        _, problem, z, (_, context, *_) = _inputs(self, scenario)
         return problem, z, context
 
     def nodes_for(self, scenario: Scenario) -> int:
@@ -218,7 +219,12 @@ def _inputs(pipeline: Pipeline, scenario: Scenario, context: Any = None, plan: T
         asked, _ = scenario.problem(nodes, form, context)
         reported = Reported(over_scaled_time(canonical(asked), form), units)
     z = problem.join(guess.state, guess.control, guess.dilation)
-    return scenario.valid(), problem, z, (reported, context, scenario.hull(context))
+    return (
+        scenario.valid(),
+        problem,
+        z,
+        (reported, context, scenario.hull(context), scenario.starts_outside()),
+    )
 
 
 def _check_class(scenario: Any) -> None:
@@ -252,8 +258,9 @@ def _solve(pipeline: Pipeline, ok: Flag, problem: ScaledTimeProblem, z, about: A
 def _conclude(
     pipeline: Pipeline, ok: Flag, problem: ScaledTimeProblem, result: MethodResult, about: Any
 ) -> Solution:
-    reported, context, hull = about
+    reported, context, hull, outside = about
     solution = conclude(pipeline.method, pipeline.samples, problem, result, context, reported, hull)
+    solution = eqx.tree_at(lambda s: s.recovers, solution, outside)
     return _undefined_unless(ok, solution)
 
 

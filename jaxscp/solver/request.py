@@ -42,6 +42,14 @@ class Request(eqx.Module):
         """Those of the problem."""
         return self.asked.time.nodes
 
+    def measured(self) -> "Request":
+        """All of it: the problem says where it starts."""
+        return self
+
+    def starts_outside(self) -> Flag:
+        """False: the problem's own constraints hold from the start."""
+        return jnp.zeros((), bool)
+
     def without_passed(self, context: Any, interval: Any) -> "Request":
         """All of it: the problem says what is left."""
         return self

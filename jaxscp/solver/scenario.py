@@ -63,6 +63,14 @@ class Scenario(Protocol):
         """Nodes of a planner that states none, by shapes alone."""
         ...
 
+    def measured(self) -> Any:
+        """The scenario, for a start that is measured: it may lie a little outside of what the scenario allows."""
+        ...
+
+    def starts_outside(self) -> Flag:
+        """Whether it does."""
+        ...
+
     def without_passed(self, context: Any, interval: Int[Array, ""]) -> Any:
         """The rest of the scenario, whose start lies on an interval of a plan with this context."""
         ...

@@ -52,6 +52,9 @@ class Solution(eqx.Module):
     """Data that the scenario built its problem with; for a landing, the leg of the route of every interval."""
     fell_back: Flag
     """Whether a re-plan found nothing from the earlier plan, so that this one began at the scenario's own guess."""
+    recovers: Flag
+    """Whether the start lies outside of a wall, a zone or a limit, to which the first four intervals lead back: a
+    measured start may, see ``LandingScenario.recovery``."""
 
     def save(self, file: str | os.PathLike, scenario: Any = None) -> None:
         """Write all of the solution to an .npz, and its scenario, for ``Solution.load``. No code is stored.
@@ -152,6 +155,7 @@ class Solution(eqx.Module):
                 Status[self.status],
                 *([cause] if (cause := self.cause()) else []),
                 *(["planned anew: no plan was found from the earlier one"] if bool(self.fell_back) else []),
+                *(["starts outside of a wall or a limit, and comes back"] if bool(self.recovers) else []),
                 f"{int(self.iterations)} iterations, {int(self.interior_point_iterations)} steps of the interior point",
                 self.backends.report(),
                 self.certificate.report(),

@@ -1,5 +1,7 @@
 """Re-plans: from the solution of a similar scenario, whose ends lie off the new boundary."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -94,6 +96,49 @@ def test_the_rest_of_a_plan_costs_no_more():
         total = spent + float(plan.cost)
         assert (1.0 - FINER) * whole < total < (1.0 + SAME_COST) * whole
     assert spent > 0.5 * whole
+
+
+MEASURED = {
+    "behind a wall": ([-1.02, 0.0, 1.0], [0.0, 0.0, 0.0]),
+    "behind a wall, on the way out": ([-1.01, 0.0, 1.0], [-0.05, 0.0, 0.0]),
+    "under the floor, in flight": ([1.0, 0.0, -0.01], [1.0, 0.0, 0.0]),
+    "in a corner": ([-1.01, -5.01, 4.9], [0.0, 0.0, 0.0]),
+}
+NO_FURTHER = 5e-3  # m beyond the start: it may brake first
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("case", MEASURED)
+def test_a_measured_start_outside_of_a_wall_comes_back(plan, case):
+    position, velocity = map(np.array, MEASURED[case])
+    scenario = put(put(room(), lambda s: s.start.position, position), lambda s: s.start.velocity, velocity)
+    with pytest.raises(jaxscp.InvalidScenario, match=r"start\.position"):
+        PLANNER(scenario)
+    again = PLANNER.replan(plan, scenario)
+    assert jaxscp.status_names(again.status) == "converged"
+    assert bool(again.recovers)
+    assert "starts outside of a wall" in again.report()
+    times = np.asarray(again.trajectory.time)
+    path = again.trajectory.at(jnp.linspace(0.0, times[-1], 500))
+    corridor = scenario.corridor
+    beyond = np.max(
+        np.asarray(path.state[:, :3]) @ np.asarray(corridor.normals[0]).T - np.asarray(corridor.offsets[0]),
+        axis=1,
+    )
+    assert beyond.max() < beyond[0] + NO_FURTHER
+    assert (beyond[np.linspace(0.0, times[-1], 500) > times[4]] < 1e-3).all()
+
+
+@pytest.mark.nightly
+def test_a_measured_start_beyond_a_limit_comes_back():
+    limited = dataclasses.replace(room(), limits=jaxscp.flight_limits(speed=2.0))
+    plan = PLANNER(limited)
+    fast = put(limited, lambda s: s.start.velocity, [2.1, 0.0, 0.0])
+    again = PLANNER.replan(plan, fast)
+    assert jaxscp.status_names(again.status) == "converged"
+    assert bool(again.recovers)
+    speed = np.linalg.norm(np.asarray(again.trajectory.state)[:, 3:6], axis=1)
+    assert (speed[4:] < 2.0 + 1e-3).all()
 
 
 def effort(trajectory, end):
