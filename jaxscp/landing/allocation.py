@@ -47,8 +47,8 @@ def usual_nodes(legs: int) -> int:
 def fits(allocation: Int[Array, "intervals"], fresh: Int[Array, "intervals"]) -> Flag:
     """Whether an allocation of another route may serve again, in place of a fresh one.
 
-    It does if it takes the same legs in order, from the first to the last. Each must have a quarter of the fresh one's
-    intervals at least. Else the route is another one.
+    It does if it takes the same legs in order, from the first to the last. Each after the first must have a quarter of
+    the fresh one's intervals at least. Else the route is another one. Of the first leg, little may be left.
 
     Example:
         >>> import jax.numpy as jnp
@@ -62,7 +62,7 @@ def fits(allocation: Int[Array, "intervals"], fresh: Int[Array, "intervals"]) ->
         (allocation[0] == fresh[0]) & (allocation[-1] == fresh[-1]) & jnp.all((steps == 0) | (steps == 1))
     )
     number = lambda of: jnp.sum(of[:, None] == fresh[None], axis=0)  # noqa: E731
-    return in_order & jnp.all(4 * number(allocation) >= number(fresh))
+    return in_order & jnp.all((fresh == fresh[0]) | (4 * number(allocation) >= number(fresh)))
 
 
 def route_positions(route: Route, allocation: Int[Array, "intervals"]) -> Points:

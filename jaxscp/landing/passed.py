@@ -5,12 +5,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
+from jaxscp.core.types import Scalar
 from jaxscp.landing.mission import Mission
 
+LEAST_TIME = 0.05  # of the rest of a plan: a rest may be quicker than the least time of the whole
 PASSED_GATE = 1e-3  # times a passed gate's shape, a thousand times its size: it asks for nothing any more
 
 
-def without_passed(mission: Mission, leg: Int[Array, ""] | int) -> Mission:
+def without_passed(mission: Mission, leg: Int[Array, ""] | int, time: Scalar | float = jnp.inf) -> Mission:
     """The mission whose start lies on a leg of its route; what lies before the leg asks for nothing any more.
 
     Shapes stay, so that no program compiles again: the polytope of the leg stands in place of those before it. Their
@@ -19,6 +21,7 @@ def without_passed(mission: Mission, leg: Int[Array, ""] | int) -> Mission:
     Args:
         mission: its start is the present state.
         leg: of its route; zero changes nothing.
+        time: s that the rest of a plan takes: much less is allowed.
 
     Example:
         >>> import jax, jaxscp
@@ -33,12 +36,13 @@ def without_passed(mission: Mission, leg: Int[Array, ""] | int) -> Mission:
     index = jnp.maximum(jnp.arange(corridor.count), polytope)
     behind = jnp.arange(corridor.joints.shape[0]) < polytope
     mission = eqx.tree_at(
-        lambda m: (m.corridor.normals, m.corridor.offsets, m.corridor.joints),
+        lambda m: (m.corridor.normals, m.corridor.offsets, m.corridor.joints, m.dilation_min),
         mission,
         (
             corridor.normals[index],
             corridor.offsets[index],
             jnp.where(behind[:, None], here, corridor.joints),
+            jnp.minimum(mission.dilation_min, LEAST_TIME * time),
         ),
     )
     if mission.gates is None or mission.gates.centres.shape[0] == 0:

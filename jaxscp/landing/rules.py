@@ -147,6 +147,10 @@ def _corridor_rules(s: Mission, xp):
             corridor.offsets[first:][: corridor.count - 1],
         )
         depth = xp.min(offsets - xp.einsum("kfc,kc->kf", normals, corridor.joints), axis=-1, initial=np.inf)
+        passed = xp.all(
+            corridor.joints == s.start.position, axis=-1
+        )  # at the start, which has a rule of its own
+        depth = xp.where(passed, 0.0, depth)
         yield Rule(
             xp.all(depth >= -CLEARANCE),
             f"corridor.joints: a joint lies outside the polytope {side} it; those polytopes are disjoint or empty, "
@@ -236,9 +240,10 @@ def _zone_rules(s: Mission, xp):
             outside = xp.all(depth <= (s.recovery if end == "start" else 0.0))
             yield Rule(outside | (fixed is not None), f"{end}.position: lies inside a zone of keep_out.")
     if s.gates is not None:
+        passed = xp.all(s.gates.centres == s.start.position, axis=-1)
         heights = xp.einsum("kfc,gc->gkf", s.corridor.normals, s.gates.centres) - s.corridor.offsets
         yield Rule(
-            xp.all(xp.any(xp.all(heights <= CLEARANCE, axis=-1), axis=-1)),
+            xp.all(xp.any(xp.all(heights <= CLEARANCE, axis=-1), axis=-1) | passed),
             "gates.centres: a gate's centre lies outside every polytope of the corridor.",
         )
 

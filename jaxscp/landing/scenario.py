@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Int
 
 from jaxscp.core import pytree_file
-from jaxscp.core.types import Flag
+from jaxscp.core.types import Flag, Scalar
 from jaxscp.landing.allocation import allocate, fits, usual_nodes
 from jaxscp.landing.guess import initial_guess
 from jaxscp.landing.mission import PARTS, Mission
@@ -105,9 +105,11 @@ class LandingScenario(Mission):
         """Whether its start does."""
         return starts_outside(self.with_unit_directions())
 
-    def without_passed(self, context: Allocation, interval: Int[Array, ""]) -> "LandingScenario":
-        """The rest of the mission, whose start lies on an interval of a plan with this allocation."""
-        return without_passed(self, context[interval])  # pyright: ignore[reportReturnType]
+    def without_passed(
+        self, context: Allocation, interval: Int[Array, ""], time: Scalar
+    ) -> "LandingScenario":
+        """The rest of the mission, whose start lies on an interval of a plan with this allocation, ``time`` s long."""
+        return without_passed(self, context[interval], time)  # pyright: ignore[reportReturnType]
 
     def in_solver_units(self, form: Form) -> tuple["LandingScenario", Units | None]:
         """The scenario in units taken from it, and the units.

@@ -50,7 +50,7 @@ class Request(eqx.Module):
         """False: the problem's own constraints hold from the start."""
         return jnp.zeros((), bool)
 
-    def without_passed(self, context: Any, interval: Any) -> "Request":
+    def without_passed(self, context: Any, interval: Any, time: Any) -> "Request":
         """All of it: the problem says what is left."""
         return self
 

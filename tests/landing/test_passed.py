@@ -9,7 +9,7 @@ import numpy as np
 import jaxscp
 from jaxscp.corridor import box, connect
 from jaxscp.landing.allocation import allocate, fits, gate_nodes
-from jaxscp.landing.passed import without_passed
+from jaxscp.landing.passed import LEAST_TIME, without_passed
 from tests.support.rooms import put
 
 BOXES = [box([0, 0, 0], [4, 2, 3]), box([3, 0, 0], [8, 2, 3]), box([7, 0, 0], [12, 2, 3])]
@@ -71,3 +71,23 @@ def test_the_leg_may_be_traced():
     traced = jax.jit(without_passed)(put(WHOLE, lambda s: s.start.position, HERE), jnp.array(LEG))
     for a, b in zip(jax.tree.leaves(traced), jax.tree.leaves(REST), strict=True):
         np.testing.assert_array_equal(a, b)
+
+
+def test_little_may_be_left_of_the_first_leg():
+    """The vehicle leaves its polytope soon. No other leg may shrink so."""
+    fresh = jnp.array([2] * 6 + [3] * 10 + [4] * 6)
+    assert bool(fits(jnp.array([2] + [3] * 13 + [4] * 8), fresh))
+    assert not bool(fits(jnp.array([2] * 12 + [3] * 2 + [4] * 8), fresh))
+
+
+def test_the_rest_of_a_plan_may_be_quicker_than_the_least_time_of_the_whole():
+    rest = without_passed(WHOLE, LEG, 0.3)
+    np.testing.assert_allclose(float(rest.dilation_min), LEAST_TIME * 0.3)
+    assert float(WHOLE.dilation_min) > float(rest.dilation_min)
+    assert float(without_passed(WHOLE, LEG, 1e3).dilation_min) == float(WHOLE.dilation_min)
+
+
+def test_a_start_outside_may_have_passed_joints():
+    """Passed joints lie at the start, which a measurement may put behind a wall."""
+    outside = put(WHOLE, lambda s: s.start.position, [5.5, 2.02, 1.5])
+    jaxscp.validate(without_passed(outside.measured(), LEG), nodes=30)

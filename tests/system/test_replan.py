@@ -141,6 +141,26 @@ def test_a_measured_start_beyond_a_limit_comes_back():
     assert (speed[4:] < 2.0 + 1e-3).all()
 
 
+TICK = 0.1  # s
+
+
+@pytest.mark.nightly
+@pytest.mark.filterwarnings("ignore:corridor")  # some boxes are narrower than the vehicle
+@pytest.mark.parametrize("number", [0, 7, 9])
+def test_a_replan_from_a_state_of_its_plan_converges(number):
+    """To the end of a flight with sharp turns. Little may be left of a leg, and of the time."""
+    from benchmarks.robustness.chains import chain
+
+    scenario = chain(number).scenario
+    plan, replans = PLANNER(scenario), 0
+    while float(plan.final_time) > 2.0 * TICK and replans < 40:
+        state = np.asarray(plan.trajectory.at(jnp.array([TICK])).state[0])
+        plan = PLANNER.replan(plan, starting_at(scenario, state), TICK)
+        assert jaxscp.status_names(plan.status) == "converged"
+        replans += 1
+    assert replans > 3
+
+
 def effort(trajectory, end):
     """Control effort of the first seconds: the cost without a weight of time."""
     times = jnp.linspace(0.0, end, 200)
