@@ -20,7 +20,6 @@ _OUTSIDE = 0.5
 _TALL = 1.5
 _LEVEL = 1e-6
 _FEW = 40
-_STATED = "PointCloud.of(points, unit=..., frame=...)"
 
 
 class MapError(ValueError):
@@ -188,7 +187,7 @@ def _findings(
             severe,
             f"start and goal lie above the map, at z = {flight.start[2]:g} and {flight.goal[2]:g} m, and in it "
             f"if z points down: z of the map runs from {facts.lower[2]:g} to {facts.upper[2]:g} m. State the frame: "
-            f"frame='ned', 'frd' or 'enu' ({'--frame' if of_file else _STATED})",
+            "frame='ned', 'frd' or 'enu' (--frame), of an array in PointCloud.of",
         )
     if flight.lower is not None and flight.upper is not None:
         low, high = flight.lower - flight.radius, flight.upper + flight.radius
@@ -211,7 +210,7 @@ def _unit_findings(
         yield (
             severe and not stated,
             f"the whole map is {extent:.3g} m wide, less than a vehicle of radius {radius:g} m. State its unit: "
-            f"unit='km' say ({'--unit km' if of_file else _STATED})",
+            "unit='km' say (--unit km), of an array in PointCloud.of",
         )
     few = 1 if of_file else _FEW
     wide = facts.spacing > (2.0 if of_file else 20.0) * radius > 0.0
@@ -221,8 +220,8 @@ def _unit_findings(
             f"neighbouring points are {facts.spacing:.3g} m from each other, so that a vehicle of radius "
             f"{radius:g} m passes between them; the map spans {extent:.4g} m"
             f"{'' if length is None else f', the flight {length:.3g} m'}. "
-            "State the unit, mm say, or m if that is right, which closes the gaps: unit='m' "
-            f"({'--unit m' if of_file else _STATED})",
+            "State the unit, mm say, or m if that is right, which closes the gaps: unit='m' (--unit m), "
+            "of an array in PointCloud.of",
         )
 
 
@@ -235,8 +234,8 @@ def _place_findings(
         "State where the local origin lies in the map, offset=(x, y, z) (--offset), its unit (--unit) or its frame "
         "(--frame)"
         if of_file
-        else f"Subtract the local origin from the points, state their unit or frame ({_STATED}), "
-        "or state lower= and upper="
+        else "Subtract the local origin from the points, state their unit or frame in PointCloud.of, or state limits: "
+        "lower= and upper= (--lower, --upper)"
     )
     sides = np.stack([facts.lower - flight.ends, flight.ends - facts.upper])
     beyond = sides.max(axis=0)
