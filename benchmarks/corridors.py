@@ -15,13 +15,14 @@ import time
 import warnings
 from collections import Counter
 from collections.abc import Iterator
-from itertools import pairwise
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, ScalarLike
+from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial import KDTree
 
 from jaxscp import LandingScenario, Planner, at_rest, status_names
@@ -51,6 +52,10 @@ RADIUS = 0.25
 CLEARANCE = 0.1
 NODES = 30
 ROUNDING = 1e-9
+ALLOWED = 1e-3  # m, of the certificate
+SAMPLED = (
+    0.15  # m: surfaces are sampled every 0.2 m or finer, so that a path through one comes so near to a point
+)
 
 
 class TangentShrinking(EllipsoidDecomposition):
@@ -134,7 +139,7 @@ def safety(places: list[synthetic_maps.Map], batch_size: int) -> dict:
 
     Also plans through the corridors, ``batch_size`` at once (0: no plans).
     """
-    found = narrow = unresolved = no_route = crashed = inside = cut = polytopes = 0
+    found = narrow = unresolved = no_route = crashed = inside = cut = polytopes = doubted = 0
     least, reasons, warned = np.inf, [], 0
     flights: list[tuple[synthetic_maps.Map, LandingScenario]] = []
     for number, place in enumerate(places):
@@ -163,7 +168,12 @@ def safety(places: list[synthetic_maps.Map], batch_size: int) -> dict:
         if len(result.overlaps):
             least = min(least, float(result.overlaps.min()))
         if result.found and result.corridor is not None:
-            flights.append((place, through(result.corridor, at_rest(place.start), at_rest(place.goal))))
+            ends = at_rest(place.start), at_rest(place.goal)
+            with warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("always", UserWarning)
+                flight = through(result.corridor, *ends, near_obstacles=result.near_obstacles)
+            doubted += bool(caught)
+            flights.append((place, flight))
     solvable = len(places) - no_route
     report = {
         "maps": len(places),
@@ -174,6 +184,7 @@ def safety(places: list[synthetic_maps.Map], batch_size: int) -> dict:
         "unresolved": unresolved,
         "crashed": crashed,
         "warned": warned,
+        "doubted": doubted,
         "polytopes": polytopes,
         "points_inside": inside,
         "seeds_outside": cut,
@@ -183,44 +194,73 @@ def safety(places: list[synthetic_maps.Map], batch_size: int) -> dict:
     if not (batch_size and flights):
         return report
     plans = planned(flights, batch_size)
-    statuses = dict(Counter(status for _, status, _ in plans))
-    report["planned_fraction"] = statuses.get("converged", 0) / solvable
-    report["min_distance_m"] = min((d for _, status, d in plans if status == "converged"), default=np.nan)
-    report["not_converged"] = [f"{name}: {status}" for name, status, _ in plans if status != "converged"]
+    statuses = dict(Counter(plan.status for plan in plans))
+    good = [plan for plan in plans if plan.status == "converged"]
+    report["planned_fraction"] = len(good) / solvable
+    report["min_distance_m"] = min((plan.distance for plan in good), default=np.nan)
+    report["min_clearance_m"] = min((plan.clearance for plan in good), default=np.nan)
+    report["nearer_than_radius"] = sum(plan.distance < RADIUS - ALLOWED for plan in good)
+    report["through_a_surface"] = sum(plan.distance <= SAMPLED for plan in good)
+    report["not_converged"] = [f"{plan.name}: {plan.status}" for plan in plans if plan.status != "converged"]
     return report | {"plans": statuses}
 
 
-def planned(
-    flights: list[tuple[synthetic_maps.Map, LandingScenario]], batch_size: int
-) -> list[tuple[str, str, float]]:
-    """Map, status and least distance to the map's points of each plan; default planner, corridors padded to one shape.
+class Plan(NamedTuple):
+    """A plan through a map, judged by the map's own points."""
 
-    The distance is measured from the vehicle's centre, on straight lines between nodes.
-    """
+    name: str
+    status: str
+    distance: float
+    """m, from the vehicle's centre to the nearest point."""
+    clearance: float
+    """m, of the certificate: from the hull to the nearest known point."""
+
+
+def planned(flights: list[tuple[synthetic_maps.Map, LandingScenario]], batch_size: int) -> list[Plan]:
+    """Plans by the default planner, corridors and obstacles padded to one shape."""
     scenarios = [scenario for _, scenario in flights]
     count = max(s.corridor.count for s in scenarios)
     faces = max(s.corridor.offsets.shape[1] for s in scenarios)
+    most = max(s.near_obstacles.points.shape[0] for s in scenarios if s.near_obstacles is not None)
     padded = [
-        dataclasses.replace(s, corridor=pad(s.corridor, s.goal.position, count, faces)) for s in scenarios
+        dataclasses.replace(
+            s,
+            corridor=pad(s.corridor, s.goal.position, count, faces),
+            near_obstacles=_padded(s.near_obstacles, most),
+        )
+        for s in scenarios
     ]
     plan = jax.vmap(Planner(nodes=NODES))
-    plans: list[tuple[str, str, float]] = []
+    plans: list[Plan] = []
     for first in range(0, len(padded), batch_size):
         batch = [padded[min(first + k, len(padded) - 1)] for k in range(batch_size)]
         solution = plan(jax.tree.map(lambda *leaves: jnp.stack(leaves), *batch))
-        names, nodes = status_names(solution.status), np.asarray(solution.trajectory.state[:, :, :3])
-        for (place, _), name, row in zip(flights[first : first + batch_size], names, nodes, strict=False):
-            plans.append((place.name, str(name), distance_to_points(place, row)))
+        names, clear = status_names(solution.status), np.asarray(solution.certificate.clearance)
+        for row, (place, _) in enumerate(flights[first : first + batch_size]):
+            distance = distance_to_points(place, jax.tree.map(lambda leaf, row=row: leaf[row], solution))
+            plans.append(Plan(place.name, str(names[row]), distance, float(clear[row])))
         if (first // batch_size) % 25 == 0:
             print(f"{len(plans)} of {len(padded)} plans", file=sys.stderr, flush=True)
     return plans
 
 
-def distance_to_points(place: synthetic_maps.Map, nodes: np.ndarray) -> float:
-    """Least distance in metres from lines between nodes, (nodes, 3), to the points of a map."""
-    fraction = np.linspace(0.0, 1.0, 20)[:, None]
-    ways = [a + fraction * (b - a) for a, b in pairwise(nodes)]
-    return float(np.min(KDTree(place.cloud.points).query(np.concatenate(ways))[0]))
+def _padded(obstacles: Any, count: int) -> Any:
+    """Obstacles with so many rows."""
+    more = count - len(obstacles.present)
+    rows = {"points": np.pad(np.asarray(obstacles.points), ((0, more), (0, 0)))}
+    rows |= {name: np.pad(np.asarray(getattr(obstacles, name)), (0, more)) for name in ("present", "deck")}
+    return dataclasses.replace(obstacles, **{name: jnp.asarray(value) for name, value in rows.items()})
+
+
+def distance_to_points(place: synthetic_maps.Map, solution: Any) -> float:
+    """Least distance in metres of the vehicle's centre to the points of a map, on cubics between the nodes."""
+    path = solution.trajectory
+    time, state = np.asarray(path.time), np.asarray(path.state)
+    if not np.isfinite(state).all() or np.any(np.diff(time) <= 0.0):
+        return np.nan
+    cubics = CubicHermiteSpline(time, state[:, :3], state[:, 3:6])
+    ways = cubics(np.interp(np.linspace(0.0, len(time) - 1.0, 20 * len(time)), np.arange(len(time)), time))
+    return float(np.min(KDTree(place.cloud.points).query(ways)[0]))
 
 
 def sizes(places: list[synthetic_maps.Map]) -> dict:

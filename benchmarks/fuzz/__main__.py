@@ -1,6 +1,7 @@
 """Random inputs of every kind: scenarios, corridors, clouds, files, commands; about half of them are wrong.
 
-python -m benchmarks.fuzz --count 200 [--seconds 7200] [--seed 0] [--first 0] [--kinds scenario file ...] [--json]
+python -m benchmarks.fuzz --count 200 [--seconds 7200] [--seed 0] [--first 0] [--kinds scenario file ...]
+                       [--workers 2] [--json]
 
 Faults are a crash, a hang, an exception that is no message, NaN in a converged plan, and a converged plan that SciPy
 refutes. ``--first NUMBER --count 1`` runs one case again.
@@ -41,6 +42,11 @@ def summary(records: list[Record], seconds: float) -> dict:
         "kinds": {
             kind: {ending: n for (of, ending), n in sorted(endings.items()) if of == kind} for kind in KINDS
         },
+        "seconds_a_case": {
+            kind: round(sum(times) / len(times), 3)
+            for kind in KINDS
+            if (times := [record.seconds for record in records if record.kind == kind])
+        },
         "slowest_s": round(max((record.seconds for record in records), default=0.0), 1),
         "cases": [record._asdict() for record in records if record.ending in FAULTS],
     }
@@ -56,11 +62,13 @@ def main() -> None:
     parser.add_argument(
         "--kinds", nargs="+", choices=tuple(KINDS), default=tuple(KINDS), help="all by default"
     )
+    parser.add_argument("--workers", type=int, default=2, help="processes, each of about one core and 1 GB")
     parser.add_argument("--json", action="store_true", help="print one JSON object, the rest on stderr")
     options = parser.parse_args()
     stream = sys.stderr if options.json else sys.stdout
     began, records = time.perf_counter(), []
-    for record in run_all(options.count, options.seed, tuple(options.kinds), options.first):
+    cases = run_all(options.count, options.seed, tuple(options.kinds), options.first, options.workers)
+    for record in cases:
         records.append(record)
         if record.ending in FAULTS:
             print(*record, sep="  ", file=stream, flush=True)

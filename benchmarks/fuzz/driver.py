@@ -4,8 +4,7 @@ import multiprocessing
 import time
 import warnings
 from collections.abc import Callable, Iterator
-from multiprocessing.connection import Connection
-from typing import Any
+from multiprocessing.connection import Connection, wait
 
 import jax
 import numpy as np
@@ -42,46 +41,60 @@ def run_case(number: int, case: Case) -> Record:
     return Record(number, case.kind, case.mutation, *ending, time.perf_counter() - began)
 
 
-def run_all(count: int, seed: int, kinds: tuple[str, ...], first: int = 0) -> Iterator[Record]:
-    """Run the cases ``first`` to ``first + count``, one after another, in a process that is begun again if it dies."""
-    number, context = first, multiprocessing.get_context("spawn")
-    while number < first + count:
-        here, there = context.Pipe(duplex=False)
-        worker = context.Process(target=_work, args=(there, seed, number, first + count, kinds), daemon=True)
-        worker.start()
-        there.close()
-        for record in _received(here, worker, seed, number, kinds):
-            yield record
-            number = record.number + 1
-
-
-def _received(
-    here: Connection, worker: Any, seed: int, number: int, kinds: tuple[str, ...]
+def run_all(
+    count: int, seed: int, kinds: tuple[str, ...], first: int = 0, workers: int = 1
 ) -> Iterator[Record]:
-    """Records of a process, the last one of its end if that is a fault."""
-    while True:
-        try:
-            if here.poll(PATIENCE):
-                record = here.recv()
-                if record is None:
-                    worker.join()
-                    return
-                number = record.number + 1
+    """Run the cases ``first`` to ``first + count``, each worker its part of them."""
+    parts = [range(first + row, first + count, workers) for row in range(min(workers, count))]
+    running = [_Worker(seed, numbers, kinds) for numbers in parts]
+    while running:
+        ready = wait([worker.answers for worker in running], timeout=1.0)
+        for worker in list(running):
+            if record := worker.answer(worker.answers in ready):
                 yield record
-                continue
-            ending = Ending("hang", f"no answer in {PATIENCE:.0f} s")
+            if not worker.numbers:
+                worker.process.join()
+                running.remove(worker)
+
+
+class _Worker:
+    """A process that runs cases one after another, and is begun again if it dies or hangs."""
+
+    def __init__(self, seed: int, numbers: range, kinds: tuple[str, ...]):
+        self.seed, self.numbers, self.kinds = seed, numbers, kinds
+        self._begin()
+
+    def _begin(self) -> None:
+        context = multiprocessing.get_context("spawn")
+        self.answers, there = context.Pipe(duplex=False)
+        arguments = there, self.seed, self.numbers, self.kinds
+        self.process = context.Process(target=_work, args=arguments, daemon=True)
+        self.process.start()
+        there.close()
+        self.since = time.perf_counter()
+
+    def answer(self, ready: bool) -> Record | None:
+        """The record of the next case, of its fault if the process died or hangs; None while it runs."""
+        try:
+            if not ready and time.perf_counter() - self.since < PATIENCE:
+                return None
+            record = self.answers.recv() if ready else self._failed("hang", f"no answer in {PATIENCE:.0f} s")
         except EOFError:
-            worker.join()
-            ending = Ending("crash", f"the process ended with {worker.exitcode}")
-        worker.kill()
-        worker.join()
-        case = case_of(seed, number, kinds)
-        yield Record(number, case.kind, case.mutation, *ending, 0.0)
-        return
+            self.process.join()
+            record = self._failed("crash", f"the process ended with {self.process.exitcode}")
+        self.numbers, self.since = self.numbers[1:], time.perf_counter()
+        if record.ending in ("hang", "crash") and self.numbers and not self.process.is_alive():
+            self._begin()
+        return record
+
+    def _failed(self, name: str, detail: str) -> Record:
+        self.process.kill()
+        self.process.join()
+        case = case_of(self.seed, self.numbers[0], self.kinds)
+        return Record(self.numbers[0], case.kind, case.mutation, name, detail, 0.0)
 
 
-def _work(there: Connection, seed: int, first: int, end: int, kinds: tuple[str, ...]) -> None:
+def _work(there: Connection, seed: int, numbers: range, kinds: tuple[str, ...]) -> None:
     jax.config.update("jax_enable_x64", True)
-    for number in range(first, end):
+    for number in numbers:
         there.send(run_case(number, case_of(seed, number, kinds)))
-    there.send(None)

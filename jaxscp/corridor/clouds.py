@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 
 from jaxscp.core.arrays import unit_lengths
+from jaxscp.corridor.conventions import metres, to_z_up
 from jaxscp.corridor.extent import corners, main_box
 from jaxscp.corridor.polytope import Polytope
 
@@ -16,10 +17,10 @@ _SUSPICIOUS_EXTENT = 10_000.0
 
 
 class Provenance(NamedTuple):
-    """The file that a cloud was read from, and the facts about it that were stated."""
+    """The file that a cloud was read from, if any, and the facts about the cloud that were stated."""
 
-    file: str
-    """Path of the file."""
+    file: str | None
+    """Path of the file; None for an array."""
     unit: str | None = None
     """The unit that the file or the caller stated; None where metres were assumed."""
     frame: str | None = None
@@ -50,16 +51,28 @@ class PointCloud(eqx.Module):
     dropped: int = 0
     """How many points were left out because a coordinate was not finite."""
     provenance: Provenance | None = eqx.field(static=True, default=None)
-    """The file that the points came from; None for an array, which is in metres, z up."""
+    """The file that the points came from, and what was stated of them; None for an array in metres, z up."""
 
     @staticmethod
-    def of(points: ArrayLike, source: str = "the cloud") -> "PointCloud":
-        """A cloud from any (points, 3) array in metres; points that are not finite are dropped and counted.
+    def of(
+        points: ArrayLike, source: str = "the cloud", *, unit: str | None = None, frame: str | None = None
+    ) -> "PointCloud":
+        """A cloud from any (points, 3) array; points that are not finite are dropped and counted.
 
         Warns when points were dropped, and when the extent suggests that the unit is not the metre.
 
+        Args:
+            points: (points, 3) positions.
+            source: name of the points in messages.
+            unit: m, dm, cm, mm, km, in, ft or us-ft. None assumes metres, and maps that contradict them are refused.
+            frame: enu or flu (z up), ned or frd (z down), or y-up. None assumes z up, as with the unit.
+
         Raises:
-            ValueError: the shape is not (points, 3).
+            ValueError: the shape is not (points, 3), or the unit or frame is unknown.
+
+        Example:
+            >>> PointCloud.of([[1000.0, 0.0, -2000.0]], unit="mm", frame="frd").points.tolist()
+            [[1.0, 0.0, 2.0]]
         """
         array = np.asarray(points, float)
         if array.size == 0:
@@ -72,13 +85,23 @@ class PointCloud(eqx.Module):
             dropped = int(array.shape[0] - np.count_nonzero(finite))
             warnings.warn(f"{source}: dropped {dropped} of {array.shape[0]} points, not finite", stacklevel=2)
             array = array[finite]
+        if unit is not None:
+            array = array * metres(unit)
+        if frame is not None:
+            array = array @ to_z_up(frame).T + 0.0  # no negative zeros
         _warn_of_units(array, source)
-        return PointCloud(array, 0.0, dropped)
+        origin = None if unit is None and frame is None else Provenance(None, unit, frame)
+        return PointCloud(array, 0.0, dropped, origin)
 
     @staticmethod
     def at(points: "PointCloud | ArrayLike") -> "PointCloud":
         """The cloud itself, or one of an array of points, as ``of`` makes it."""
         return points if isinstance(points, PointCloud) else PointCloud.of(points)
+
+    @property
+    def file(self) -> str | None:
+        """The file that the points came from; None for an array."""
+        return None if self.provenance is None else self.provenance.file
 
     @property
     def count(self) -> int:

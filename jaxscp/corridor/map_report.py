@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from jaxscp.corridor.clouds import PointCloud
 from jaxscp.corridor.columns import COUNTED, counts_points
 from jaxscp.corridor.extent import Triple, main_box, within
-from jaxscp.corridor.limits import Point
+from jaxscp.corridor.map_flight import Flight
 from jaxscp.corridor.spacing import typical_spacing
 
 _NEAR = 5.0
@@ -24,31 +24,6 @@ _FEW = 40
 
 class MapError(ValueError):
     """A map that no plan may trust; the message names the file, the cause and the option that exists."""
-
-
-class Flight(eqx.Module):
-    """A flight that a map must serve."""
-
-    start: Point
-    """Start, (3,), metres."""
-    goal: Point
-    """Goal, (3,), metres."""
-    radius: float
-    """Safety radius of the vehicle, metres."""
-    lower: Point | None = None
-    """Lower corner that the caller stated for the vehicle's centre, metres."""
-    upper: Point | None = None
-    """Upper corner that the caller stated, metres."""
-
-    @property
-    def ends(self) -> Float[np.ndarray, "2 3"]:
-        """Start and goal."""
-        return np.stack([self.start, self.goal])
-
-    @property
-    def length(self) -> float:
-        """Straight distance from start to goal, metres."""
-        return float(np.linalg.norm(self.goal - self.start))
 
 
 class MapReport(eqx.Module):
@@ -113,7 +88,7 @@ def _empty(cloud: PointCloud) -> tuple[str, ...]:
     """Why a cloud without points is refused; an empty array is free space."""
     if cloud.dropped:
         return (f"none of its {cloud.dropped} points is finite, so that no obstacle is known",)
-    return () if cloud.provenance is None else ("the file holds no point, so that no obstacle is known",)
+    return () if cloud.file is None else ("the file holds no point, so that no obstacle is known",)
 
 
 def map_report(
@@ -127,8 +102,8 @@ def map_report(
 ) -> MapReport:
     """Judge a map for a flight: units, spacing, place and frame.
 
-    A file whose unit or frame nobody stated is refused where its points contradict metres or z up. An array states
-    both, so that the same finding is a warning. Without start and goal, the frame and the place are not judged.
+    A map whose unit or frame nobody stated is refused where its points contradict metres or z up. An array of a few
+    points, or with both limits, is warned of instead. Without start and goal, frame and place are not judged.
 
     Args:
         cloud: the map, or its points as an array, (points, 3), metres.
@@ -145,8 +120,7 @@ def map_report(
         (True, 0.2, (False, False))
     """
     cloud = PointCloud.at(cloud)
-    origin = cloud.provenance
-    source = "array" if origin is None else origin.file
+    source = cloud.file or "array"
     if cloud.count == 0:
         nowhere = np.zeros(3), np.zeros(3), float("inf")
         return MapReport(source, 0, cloud.dropped, 0, *nowhere, radius, refused=_empty(cloud))
@@ -157,7 +131,9 @@ def map_report(
         flight = Flight(np.asarray(start, float), np.asarray(goal, float), radius, *corners)
         first, last = within(flight.ends, facts.lower, facts.upper).tolist()
         inside = (first, last)
-    findings = list(_findings(facts, cloud, flight))
+    # A few points are single obstacles, and both limits state where the flight is.
+    lenient = cloud.file is None and (cloud.count <= _FEW or not (lower is None or upper is None))
+    findings = list(_findings(facts, cloud, flight, severe=not lenient))
     return replace(
         facts,
         inside=inside,
@@ -188,9 +164,11 @@ def _assumed(cloud: PointCloud, strays: int) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _findings(facts: MapReport, cloud: PointCloud, flight: Flight | None) -> Iterator[tuple[bool, str]]:
+def _findings(
+    facts: MapReport, cloud: PointCloud, flight: Flight | None, severe: bool
+) -> Iterator[tuple[bool, str]]:
     """Findings about a map and a flight, if there is one, each with whether it prevents a plan."""
-    origin = cloud.provenance
+    origin, of_file = cloud.provenance, cloud.file is not None
     if origin is not None:
         yield from ((True, doubt) for doubt in origin.doubts)
     if cloud.count >= COUNTED and counts_points(cloud.points[:, 0]):
@@ -200,58 +178,64 @@ def _findings(facts: MapReport, cloud: PointCloud, flight: Flight | None) -> Ite
         )
     stated = origin is not None and origin.unit is not None
     length = None if flight is None else flight.length
-    yield from _unit_findings(facts, length, of_file=origin is not None, stated=stated)
+    yield from _unit_findings(facts, length, of_file=of_file, stated=stated, severe=severe)
     if flight is None:
         return
-    yield from _place_findings(facts, flight, of_file=origin is not None)
+    yield from _place_findings(facts, flight, of_file=of_file, severe=severe)
     if (origin is None or origin.frame is None) and _upside_down(facts, cloud, flight):
         yield (
-            origin is not None,
+            severe,
             f"start and goal lie above the map, at z = {flight.start[2]:g} and {flight.goal[2]:g} m, and in it "
             f"if z points down: z of the map runs from {facts.lower[2]:g} to {facts.upper[2]:g} m. State the frame: "
-            "frame='ned', 'frd' or 'enu' (--frame)",
+            "frame='ned', 'frd' or 'enu' (--frame), of an array in PointCloud.of",
         )
     if flight.lower is not None and flight.upper is not None:
         low, high = flight.lower - flight.radius, flight.upper + flight.radius
         if not within(cloud.points, low, high).any():
             yield (
-                origin is not None,
+                severe,
                 f"none of its {facts.points} points lies within the limits {_place(flight.lower)} to "
                 f"{_place(flight.upper)} m: the map is elsewhere, or its unit or offset is another one",
             )
 
 
 def _unit_findings(
-    facts: MapReport, length: float | None, of_file: bool, stated: bool
+    facts: MapReport, length: float | None, of_file: bool, stated: bool, severe: bool
 ) -> Iterator[tuple[bool, str]]:
     radius = facts.radius or 0.0
     extent = float((facts.upper - facts.lower).max())
     if facts.points > 1 and extent == 0.0:
-        yield of_file, f"all of its {facts.points} points lie at {_place(facts.lower)} m"
+        yield severe, f"all of its {facts.points} points lie at {_place(facts.lower)} m"
     elif facts.points > 1 and extent < 2.0 * radius and facts.points > _FEW:
         yield (
-            of_file and not stated,
+            severe and not stated,
             f"the whole map is {extent:.3g} m wide, less than a vehicle of radius {radius:g} m. State its unit: "
-            "unit='km' say (--unit km)",
+            "unit='km' say (--unit km), of an array in PointCloud.of",
         )
     few = 1 if of_file else _FEW
     wide = facts.spacing > (2.0 if of_file else 20.0) * radius > 0.0
     if wide and not stated and facts.points > few and np.isfinite(facts.spacing):
         yield (
-            of_file,
+            severe,
             f"neighbouring points are {facts.spacing:.3g} m from each other, so that a vehicle of radius "
             f"{radius:g} m passes between them; the map spans {extent:.4g} m"
             f"{'' if length is None else f', the flight {length:.3g} m'}. "
-            "State the unit of the file, mm say, or m if that is right, which closes the gaps: unit='m' (--unit m)",
+            "State the unit, mm say, or m if that is right, which closes the gaps: unit='m' (--unit m), "
+            "of an array in PointCloud.of",
         )
 
 
-def _place_findings(facts: MapReport, flight: Flight, of_file: bool) -> Iterator[tuple[bool, str]]:
+def _place_findings(
+    facts: MapReport, flight: Flight, of_file: bool, severe: bool
+) -> Iterator[tuple[bool, str]]:
     """Whether start and goal lie in or near the box of the map, and not below it."""
     box = f"the map's box {_place(facts.lower)} to {_place(facts.upper)} m"
     remedy = (
         "State where the local origin lies in the map, offset=(x, y, z) (--offset), its unit (--unit) or its frame "
         "(--frame)"
+        if of_file
+        else "Subtract the local origin from the points, state their unit or frame in PointCloud.of, or state limits: "
+        "lower= and upper= (--lower, --upper)"
     )
     sides = np.stack([facts.lower - flight.ends, flight.ends - facts.upper])
     beyond = sides.max(axis=0)
@@ -259,7 +243,7 @@ def _place_findings(facts: MapReport, flight: Flight, of_file: bool) -> Iterator
     ends = f"start {_place(flight.start)} and goal {_place(flight.goal)}"
     if np.any(beyond.max(axis=1) > near):
         far = float(beyond.max())
-        yield of_file, f"{ends} do not both lie in or near {box}: {far:.4g} m outside. {remedy}"
+        yield severe, f"{ends} do not both lie in or near {box}: {far:.4g} m outside. {remedy}"
         return
     # An end beside the map by more than the radius: nobody saw free space there, and a wrong frame looks like that.
     beside = np.any(sides[:, :, :2] > min(_OUTSIDE, flight.radius), axis=(0, 2))

@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 from numpy.typing import ArrayLike
 
+from jaxscp.core.arrays import namespace
 from jaxscp.corridor.polytopes import Corridor
 
 
@@ -34,11 +35,14 @@ def pad(
             f"the corridor has {count} polytopes of {rows} faces, more than the "
             f"{polytopes} of {faces} asked for"
         )
-    more, goal = polytopes - count, jnp.asarray(goal, corridor.offsets.dtype)
-    normals = jnp.pad(corridor.normals, ((0, 0), (0, faces - rows), (0, 0)))
-    offsets = jnp.pad(corridor.offsets, ((0, 0), (0, faces - rows)), constant_values=1.0)
-    return Corridor(
-        jnp.concatenate([normals, jnp.repeat(normals[-1:], more, axis=0)]),
-        jnp.concatenate([offsets, jnp.repeat(offsets[-1:], more, axis=0)]),
-        jnp.concatenate([corridor.joints, jnp.broadcast_to(goal, (more, 3))]),
+    xp = namespace(corridor, goal)  # known numbers compile nothing
+    more = polytopes - count
+    normals = xp.pad(corridor.normals, ((0, 0), (0, faces - rows), (0, 0)))
+    offsets = xp.pad(corridor.offsets, ((0, 0), (0, faces - rows)), constant_values=1.0)
+    last = xp.broadcast_to(xp.asarray(goal, offsets.dtype), (more, 3))
+    parts = (
+        xp.concatenate([normals, xp.repeat(normals[-1:], more, axis=0)]),
+        xp.concatenate([offsets, xp.repeat(offsets[-1:], more, axis=0)]),
+        xp.concatenate([xp.asarray(corridor.joints), last]),
     )
+    return Corridor(*map(jnp.asarray, parts))

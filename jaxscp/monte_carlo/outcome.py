@@ -88,9 +88,11 @@ def _solution_scalars(solution: Solution) -> dict[str, Any]:
 
 
 def certificate_scalars(certificate: Certificate) -> dict[str, Any]:
-    """Worst violation, defect, and every row of a certificate, by name."""
+    """Worst violation, defect, every row of a certificate by name, and the clearance where obstacles are known."""
     rows = {f"error_{_word(n)}": certificate.end_errors[i] for i, n in enumerate(certificate.end_names)}
     rows |= {f"violation_{_word(n)}": certificate.between_nodes[i] for i, n in enumerate(certificate.names)}
+    if certificate.clearance is not None:
+        rows["clearance"] = certificate.clearance
     # ``certificate.violation`` would run compiled code for each case
     xp = namespace(certificate.between_nodes)
     hard = xp.where(xp.isinf(certificate.allowed), 0.0, certificate.between_nodes)
@@ -102,7 +104,7 @@ def units_of(value: Any) -> dict[str, str]:
     if not isinstance(value, Solution):
         return {}
     ends = zip(value.certificate.end_names, value.certificate.end_units, strict=True)
-    return {"final_time": "s"} | {f"error_{_word(name)}": unit for name, unit in ends}
+    return {"final_time": "s", "clearance": "m"} | {f"error_{_word(name)}": unit for name, unit in ends}
 
 
 def quantities(outcome: Outcome, units: dict[str, str]) -> dict[str, Quantity]:

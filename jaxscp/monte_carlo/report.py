@@ -79,7 +79,7 @@ def _table(sweep: "Sweep", numbers: list[int]) -> str:
     table = sweep.dataset().sel(case=numbers)
     names = [
         *sweep.parameters,
-        *(n for n in sweep.results if n in (SUCCESS, STATUS, "violation", "cost", "final_time")),
+        *(n for n in sweep.results if n in (SUCCESS, STATUS, "violation", "clearance", "cost", "final_time")),
     ]
     head = "".join(f"<th>{html.escape(name)}</th>" for name in ("case", *names))
     rows = []

@@ -236,16 +236,32 @@ def test_the_frame_of_a_gltf_must_be_stated(tmp_path):
     assert map_report(read_cloud(tmp_path / "room.glb", frame="enu"), START, GOAL).accepted
 
 
-def test_an_array_in_millimetres_is_warned_of(hall):
-    report = map_report(PointCloud.of(hall * 1000), START, GOAL)
-    assert report.accepted
-    assert "200 m from each other" in report.warnings[0]
+def test_an_array_in_millimetres_is_refused_unless_its_unit_is_stated(hall):
+    assert "200 m from each other" in refused(PointCloud.of(hall * 1000))
+    stated = PointCloud.of(hall * 1000, unit="mm")
+    np.testing.assert_allclose(stated.points, hall, atol=1e-9)
+    assert not map_report(stated, START, GOAL).warnings
 
 
-def test_an_array_with_z_down_is_warned_of(hall):
-    report = map_report(PointCloud.of(hall * [1.0, -1.0, -1.0]), START, [6.0, 1.5, 1.2])
+def test_an_array_with_z_down_is_refused_unless_its_frame_is_stated(hall):
+    down, goal = hall * [1.0, -1.0, -1.0], [6.0, 1.5, 1.2]
+    assert "if z points down" in refused(PointCloud.of(down), START, goal)
+    stated = PointCloud.of(down, frame="frd")
+    np.testing.assert_allclose(stated.points, hall)
+    assert map_report(stated, START, GOAL).accepted
+
+
+def test_an_array_elsewhere_is_refused_unless_limits_are_stated(hall):
+    away = PointCloud.of(hall + FAR)
+    assert "Subtract the local origin" in refused(away)
+    report = map_report(away, START, GOAL, lower=[-1, -3, 0], upper=[7, 3, 3])
     assert report.accepted
-    assert "if z points down" in report.warnings[0]
+    assert "do not both lie in or near" in report.warnings[0]
+
+
+def test_an_array_of_a_few_obstacles_may_be_sparse_and_far_away():
+    pillars = PointCloud.of([[100.0, 20.0 * row, 1.0] for row in range(40)])
+    assert map_report(pillars, START, GOAL).accepted
 
 
 def test_more_points_than_memory_should_hold_are_refused_before_they_are_read(tmp_path, monkeypatch, hall):

@@ -13,6 +13,8 @@ import scipy.stats
 import jaxscp
 from jaxscp import monte_carlo as mc
 from jaxscp.monte_carlo.identity import described, differences
+from jaxscp.monte_carlo.outcome import certificate_scalars
+from jaxscp.verification.certificate import Certificate
 
 COUNT = 4000
 LEVEL = 1e-6  # of the tests of margins: one in a million seeds fails
@@ -190,3 +192,10 @@ def test_globals_and_functions_of_the_same_module_count(monkeypatch):
     assert "globals.helper.globals.FACTOR: stored 2.0, now 3.0" in differences(
         before, described(lambda b: helper(b))
     )
+
+
+def test_clearance_is_a_result_where_obstacles_are_known():
+    none, one = jnp.zeros(0), jnp.zeros(1)
+    rows = jnp.array(0.0), none, none, one, one, one, None, ("corridor",), (), ()
+    assert certificate_scalars(Certificate(*rows, clearance=jnp.array(0.2)))["clearance"] == 0.2
+    assert "clearance" not in certificate_scalars(Certificate(*rows))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import jaxscp
+from jaxscp import monte_carlo as mc
 from jaxscp.corridor import box, connect, obstacles_near
 
 PLANNER = jaxscp.Planner(nodes=15)
@@ -48,6 +49,16 @@ def test_a_plan_whose_hull_touches_an_obstacle_is_not_converged():
     path = touching.trajectory.sample(rate=2000).state[:, :3]
     nearest = KDTree(WALL).query(np.asarray(path))[0].min() - RADIUS
     assert float(touching.certificate.clearance) == pytest.approx(nearest, abs=2e-3)
+
+
+@pytest.mark.slow
+def test_a_sweep_has_the_clearance_of_every_case(tmp_path):
+    mass = mc.Parameter("airframe.body.mass", mc.Uniform(0.8, 1.0))
+    study = mc.Study(PLANNER, scenario(1.2), [mass], mc.Sobol(2, 1))
+    sweep = mc.sweep(study, tmp_path / "sweep")
+    expected = [float(PLANNER(study.case(number)).certificate.clearance) for number in range(2)]
+    assert sweep.values("clearance").tolist() == expected
+    assert sweep.layout.quantities["clearance"].unit == "m"
 
 
 @pytest.mark.nightly
