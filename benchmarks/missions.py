@@ -39,7 +39,7 @@ def flight(name: str, seed: int, wind: float | None = None) -> dict[str, Any]:
     seconds = time.perf_counter() - began
     vars_of = vars(mission.outcome)
     route = vars_of["landed"] or has_route(mission.case)
-    row = {"field": name, "seed": seed, "seconds": seconds, "route": route, **vars_of}
+    row = {"field": name, "seed": seed, "asked_wind": wind, "seconds": seconds, "route": route, **vars_of}
     row["landed"] = mission.accomplished
     row["tracking_rmse"] = float(np.sqrt(np.nanmean(mission.tracking_errors() ** 2)))
     return row | {"aborts": list(mission.commander.aborts)}
@@ -147,11 +147,15 @@ def quantile(values: list[float], share: float) -> float | None:
 def fly_all(
     tasks: list[tuple[str, int]], workers: int, file: str | None, wind: float | None
 ) -> list[dict[str, Any]]:
-    """Rows of all flights, each written to a file as soon as it is there; rows of that file count."""
+    """Rows of all flights, each written to a file as soon as it is there; rows of that file count.
+
+    Rows that were flown in another wind stay in the file, and count as not flown.
+    """
     rows = []
     if file is not None and os.path.exists(file):
         with open(file) as before:
             rows = [json.loads(line) for line in before]
+    rows = [row for row in rows if row.get("asked_wind", "unknown") == wind or row["field"] == "indoor"]
     done = {(row["field"], row["seed"]) for row in rows}
     rows = [row for row in rows if (row["field"], row["seed"]) in set(tasks)]
     tasks = [task for task in tasks if task not in done]

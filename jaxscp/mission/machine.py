@@ -61,6 +61,9 @@ def _progress(rules: Rules, facts: Facts):
         (Phase.cruise, facts.plan_over & still, Phase.hover),
         (Phase.approach, still & (facts.unseen < rules.deck_lost), Phase.land),
         (Phase.land, (facts.height < rules.touch_height) | low, Phase.touch_down),
+        (Phase.land, (facts.height < rules.level_height) & (facts.wind > rules.calm), Phase.level_off),
+        (Phase.level_off, facts.height < rules.touch_height, Phase.touch_down),
+        (Phase.level_off, facts.in_phase > rules.level_time, Phase.touch_down),
         (Phase.touch_down, facts.in_phase > 0.5, Phase.landed),
         (Phase.go_around, still, Phase.approach),
     )
@@ -70,7 +73,7 @@ def _aborts(rules: Rules, facts: Facts):
     """(phase, condition, next phase) of a mission that does not."""
     cone = rules.greatest_error + rules.cone_floor + rules.cone_slope * jnp.maximum(facts.height, 0.0)
     outside = facts.offset > cone
-    lost = facts.unseen > rules.deck_lost
+    lost, late = facts.unseen > rules.deck_lost, facts.in_phase > rules.level_time
     near = (facts.offset < rules.near_deck) & ~lost
     over = (facts.wind > rules.strongest_wind) | (facts.time > rules.time_limit)
     given_up = over | (facts.attempts >= rules.attempts)
@@ -83,5 +86,6 @@ def _aborts(rules: Rules, facts: Facts):
         (Phase.cruise, facts.off_plan > rules.tracking_error, Phase.hover),
         (Phase.spool_up, facts.in_phase > 5.0, Phase.on_deck),
         (Phase.land, outside | lost, Phase.go_around),
+        (Phase.level_off, late & (facts.height > rules.low_height), Phase.go_around),
         (Phase.go_around, given_up & (facts.reached >= rules.still), Phase.safe_hover),
     )

@@ -30,6 +30,8 @@ class Phase(IntEnum):
     """Up again, away from the deck."""
     safe_hover = 10
     """The mission is given up: the vehicle holds its place."""
+    level_off = 11
+    """The last centimetres of a landing in wind: level, however the wind pushes."""
 
 
 def phase_names(codes) -> list[str]:

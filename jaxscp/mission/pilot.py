@@ -21,7 +21,10 @@ from jaxscp.simulation.simulate import CONTROL
 from jaxscp.simulation.vehicles import FEET_DEPTH
 
 SAMPLES = 400  # of a plan: 20 ms for 8 s
-ATTITUDE_GAIN, RATE_GAIN = 150.0, 22.0  # 1/s^2, 1/s, on the deck
+DECK_GAINS = 150.0, 22.0  # 1/s^2, 1/s, of attitude and body rate, on the deck
+LEVEL_GAINS = 300.0, 30.0  # the same, just above it
+MOTOR_LEAD = 0.02  # s in which the motors then reach a thrust: their lag is 30 ms
+SINK_GAIN = 4.0  # 1/s, of the error of a descent that levels off
 RESERVE = 0.9  # of the greatest thrust: an empty battery gives less
 
 
@@ -93,7 +96,8 @@ class Pilot(eqx.Module):
         phase = machine.next_phase(self.rules, state.phase, facts)
         changed = phase != state.phase
         since = jnp.where(changed, time, state.since)
-        target = targets.advance(self.rules, phase, state.target, observation, time - since)
+        push = self._push(state)
+        target = targets.advance(self.rules, phase, state.target, observation, time - since, push)
         reached = jnp.where(targets.reached(self.rules, phase, target, observation), state.reached, time)
         begun = changed & (phase == int(Phase.approach))
         attempts = jnp.where(begun, state.attempts + 1, state.attempts)
@@ -130,6 +134,12 @@ class Pilot(eqx.Module):
             time=time,
         )
 
+    def _push(self, state: PilotState) -> Vector3:
+        """Horizontal acceleration by the wind, m/s^2; zero where it is calm."""
+        force = state.controller.disturbance[:3].at[2].set(0.0)
+        strong = jnp.sqrt(force @ force + 1e-12) > self.rules.calm
+        return jnp.where(strong, force / self.airframe.body.mass, 0.0)
+
     def _thrusts(
         self, state: PilotState, phase: Array, target: Target, observation: Observation, time: Array
     ) -> tuple[NMPCState, Float[Array, "rotors"]]:
@@ -143,20 +153,39 @@ class Pilot(eqx.Module):
         off = (phase == int(Phase.on_deck)) | (phase == int(Phase.touch_down)) | (phase == int(Phase.landed))
         open_loop = jnp.where(spooling, rising, least)
         command = jnp.where(spooling | off, open_loop, command)
-        # contact is no disturbance of the flight: on the deck the controller's memory begins anew
+        # contact is no disturbance of the flight: on the deck the controller's memory begins again
         fresh = self.nmpc.init(reference, observation.state(), time, open_loop)
         memory = jax.tree.map(lambda a, b: jnp.where(spooling | off, a, b), fresh, memory)
+        levelling = phase == int(Phase.level_off)
+        command = jnp.where(levelling, self._level(memory, observation), command)
+        commands = memory.commands.at[-1].set(command)
+        memory = eqx.tree_at(lambda m: m.commands, memory, jnp.where(levelling, commands, memory.commands))
         return memory, command
 
     def _rising(self, before: Float[Array, "rotors"], own: Float[Array, "13"]) -> Float[Array, "rotors"]:
         """Thrusts that rise together, with a torque that holds the vehicle level in wind."""
+        collective = jnp.mean(before) + self.rules.spool_rate * CONTROL
+        return self._upright(jnp.zeros(()), own, collective, DECK_GAINS)
+
+    def _level(self, memory: NMPCState, observation: Observation) -> Float[Array, "rotors"]:
+        """Thrusts that level the vehicle quickly while it sinks onto the deck."""
+        own, body = observation.state(), self.airframe.body
+        sinking = own[5] - observation.deck.velocity[2] + self.rules.level_descent
+        lift = body.mass * (-body.gravity[2] - SINK_GAIN * sinking) - memory.disturbance[2]
+        thrusts = self._upright(lift, own, 0.0, LEVEL_GAINS)
+        return self.nmpc.actuators.command(memory.active, thrusts, MOTOR_LEAD)
+
+    def _upright(
+        self, lift: Scalar, own: Float[Array, "13"], collective: Scalar | float, gains: tuple[float, float]
+    ) -> Float[Array, "rotors"]:
+        """Thrusts of a lift in N, with a torque that turns the vehicle level, on top of as much for all rotors."""
         body = self.airframe.body
         up = rotation_matrix(own[6:10])[2]  # the world's vertical in body axes
         tilt = jnp.cross(up, jnp.array([0.0, 0.0, 1.0]))
-        torque = -body.inertia @ (ATTITUDE_GAIN * tilt + RATE_GAIN * own[10:])
-        differences = body.least_thrusts() @ jnp.concatenate([jnp.zeros(3), torque])
-        collective = jnp.mean(before) + self.rules.spool_rate * CONTROL
-        return jnp.clip(collective + differences, self.airframe.thrust_min, self.nmpc.actuators.upper)
+        torque = -body.inertia @ (gains[0] * tilt + gains[1] * own[10:])
+        force = jnp.zeros(3).at[2].set(lift)
+        thrusts = collective + body.least_thrusts() @ jnp.concatenate([force, torque])
+        return jnp.clip(thrusts, self.airframe.thrust_min, self.nmpc.actuators.upper)
 
     def with_plan(self, state: PilotState, plan: Reference, time: Scalar | float) -> PilotState:
         """The memory after a plan for the cruise arrives; a plan begins now, where its ``start`` says so."""

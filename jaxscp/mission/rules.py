@@ -39,6 +39,16 @@ class Rules(eqx.Module):
     """Horizontal error on the deck up to which the descent goes on, m."""
     cone_slope: Scalar = eqx.field(converter=as_floats, default=0.3)
     """Further horizontal error for each metre of height."""
+    calm: Scalar = eqx.field(converter=as_floats, default=0.3)
+    """Horizontal disturbance in N below which a landing needs no levelling: hover is level to two degrees."""
+    level_height: Scalar = eqx.field(converter=as_floats, default=0.07)
+    """Height in m below which a vehicle that leans against the wind levels off."""
+    level_descent: Scalar = eqx.field(converter=as_floats, default=0.35)
+    """Speed of the descent meanwhile, m/s."""
+    level_time: Scalar = eqx.field(converter=as_floats, default=0.6)
+    """s after which a vehicle that levels off stands on the deck; or else it goes around."""
+    level_drift: Scalar = eqx.field(converter=as_floats, default=0.007)
+    """Way in m that the wind then pushes the vehicle, per m/s^2 of its push: a landing aims as far upwind."""
     greatest_error: Scalar = eqx.field(converter=as_floats, default=0.15)
     """Horizontal error beyond the cone at which the vehicle goes around, m."""
     touch_height: Scalar = eqx.field(converter=as_floats, default=0.008)

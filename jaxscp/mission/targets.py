@@ -27,22 +27,30 @@ class Target(eqx.Module):
 
 
 def advance(
-    rules: Rules, phase: Int[Array, ""], target: Target, observation: Observation, in_phase: Scalar
+    rules: Rules,
+    phase: Int[Array, ""],
+    target: Target,
+    observation: Observation,
+    in_phase: Scalar,
+    push: Vector3,
 ) -> Target:
     """The target of this period.
 
     It goes to the place of the phase at a limited speed, on top of the deck's own velocity where that is its frame.
     A phase that begins from a cruise or from the deck starts at the vehicle's own place; then ``in_phase``, the s since
-    its begin, is zero.
+    its begin, is zero. ``push`` is the acceleration by the wind, m/s^2, against which a landing aims.
     """
     own, deck = observation.state(), observation.deck
-    here = _is(phase, Phase.on_deck, Phase.spool_up, Phase.cruise, Phase.touch_down, Phase.landed)
+    here = _is(
+        phase, Phase.on_deck, Phase.spool_up, Phase.cruise, Phase.touch_down, Phase.landed, Phase.level_off
+    )
     stopped = (in_phase <= 0.0) & _is(phase, Phase.hover, Phase.safe_hover)
     position = jnp.where(here | stopped, own[:3], target.position)
     over_deck = _is(phase, Phase.climb, Phase.approach, Phase.land, Phase.go_around)
     carried = jnp.where(over_deck, deck.velocity, 0.0)
     position = position + carried * CONTROL
     change, speed = _change(rules, phase, position, observation)
+    change = change - jnp.where(_is(phase, Phase.land), rules.level_drift * push, 0.0)
     change = change + _search(rules, phase, observation, in_phase)
     # across and along the vertical apart: a slow descent does not slow the correction of its place
     across, along = change.at[2].set(0.0), change.at[:2].set(0.0)

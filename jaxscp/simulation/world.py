@@ -1,10 +1,15 @@
 """The world: two bodies in contact, air, motors, and the carrier's own controller; one step of it."""
 
+import contextlib
+import io
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
-from mujoco import mjx
+
+with contextlib.redirect_stdout(io.StringIO()):  # it prints that it misses a package, which it can do without
+    from mujoco import mjx
 
 from jaxscp.core.types import Scalar, Vector3
 from jaxscp.dynamics.airframes import Airframe, paper_carrier
