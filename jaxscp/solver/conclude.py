@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxscp.core import batching
-from jaxscp.core.status import Status
+from jaxscp.core.status import Status, StatusCode
 from jaxscp.core.types import Scalar
 from jaxscp.corridor.obstacles import Hull
 from jaxscp.problem.scaled_time import ScaledTimeProblem
@@ -63,9 +63,8 @@ def conclude(
     certificate = batching.in_chunks(
         lambda fixed: _certificate(method, samples, *fixed), frozen, CERTIFICATE_CHUNK
     )
-    failed = (result.status == Status.converged) & ~certificate.passed(method.holds_between_nodes)
     return Solution(
-        status=Status.where(failed, Status.verification_failed, result.status),
+        status=_status(result.status, certificate, method.holds_between_nodes),
         trajectory=trajectory.with_dynamics(asked.dynamics),
         cost=result.cost * _sizes(problem, reported)[0],
         final_time=trajectory.time[-1],
@@ -81,6 +80,15 @@ def conclude(
         fell_back=jnp.zeros((), bool),
         recovers=jnp.zeros((), bool),
     )
+
+
+def _status(status: StatusCode, certificate: Certificate, between_nodes: bool) -> StatusCode:
+    """The status by the certificate: it may refute a claim to have converged, and one to have found no flight."""
+    failed = (status == Status.converged) & ~certificate.passed(between_nodes)
+    unmet = (status == Status.dynamics_unmet) | (status == Status.constraints_unmet)
+    flies = unmet & certificate.passed(optimum=False)  # at last: the dynamics were restored
+    status = Status.where(flies, Status.insufficient_progress, status)
+    return Status.where(failed, Status.verification_failed, status)
 
 
 def _sizes(problem: ScaledTimeProblem, reported: Reported | None) -> tuple[Scalar | float, Scalar | float]:

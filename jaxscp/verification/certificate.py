@@ -75,16 +75,17 @@ class Certificate(eqx.Module):
             raise KeyError(f"no row {name!r}; there are {', '.join(self.end_names) or 'none'}")
         return self.end_errors[..., self.end_names.index(name)]
 
-    def passed(self, between_nodes: bool = True) -> Bool[Array, "*batch"]:
+    def passed(self, between_nodes: bool = True, optimum: bool = True) -> Bool[Array, "*batch"]:
         """Whether each solution is good enough: ends, constraints, clearance and optimality within their tolerances.
 
         Args:
             between_nodes: whether constraints count; a method that enforces them only at nodes claims less.
+            optimum: whether optimality counts; without it, a flight that keeps all constraints passes.
         """
         good = jnp.all(self.end_errors <= self.end_tolerances, axis=-1)
         if self.clearance is not None:
             good &= self.clearance >= -DISTANCE_TOLERANCE
-        if self.optimality is not None:
+        if optimum and self.optimality is not None:
             good &= self.optimality <= OPTIMALITY_TOLERANCE
         return good & jnp.all(self.between_nodes <= self.allowed, axis=-1) if between_nodes else good
 
