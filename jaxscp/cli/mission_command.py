@@ -115,7 +115,8 @@ def _finite(value: Any) -> Any:
 
 def text(found: dict[str, Any]) -> str:
     """The same for a reader."""
-    lines = [f"{found['field']}, seed {found['seed']}: {found['status'].replace('_', ' ')} ({found['end']})"]
+    end = "" if found["end"] == found["status"] else f" (last phase: {found['end'].replace('_', ' ')})"
+    lines = [f"{found['field']}, seed {found['seed']}: {found['status'].replace('_', ' ')}{end}"]
     lines.append(
         f"wind {found['wind']:.1f} m/s, deck {found['deck_speed']:.2f} m/s, {found['duration']:.0f} s in all"
     )

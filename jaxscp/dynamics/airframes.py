@@ -1,5 +1,6 @@
 """Vehicles as data: a rigid body and the limits of its rotors, with the source of every number."""
 
+from collections.abc import Mapping
 from typing import Any, NotRequired, TypedDict, Unpack
 
 import equinox as eqx
@@ -36,6 +37,7 @@ class MultirotorNumbers(TypedDict):
     thrust_max: Scalar | float
     rotors: NotRequired[int]
     tilt: NotRequired[Scalar | float]
+    radius: NotRequired[Scalar | float]
 
 
 def multirotor(**numbers: Unpack[MultirotorNumbers]) -> Airframe:
@@ -51,9 +53,13 @@ def multirotor(**numbers: Unpack[MultirotorNumbers]) -> Airframe:
             thrust_max: N for each rotor.
             rotors: number of rotors, four by default.
             tilt: angle in radians by which each rotor leans about its arm, alternately left and right; zero by default.
+            radius: of the hull in m; by default ``arm``, which leaves out the propellers.
 
     Returns:
         The airframe; body x points forward, y left, z up.
+
+    Raises:
+        TypeError: if a number is missing, or a name is unknown.
 
     Example:
         >>> from jaxscp import airframes
@@ -62,6 +68,7 @@ def multirotor(**numbers: Unpack[MultirotorNumbers]) -> Airframe:
         >>> hexa.body.control_size
         6
     """
+    _check_names(numbers)
     xp, rotors, tilt = namespace(numbers), numbers.get("rotors", 4), numbers.get("tilt", 0.0)
     arm, torque_ratio = numbers["arm"], numbers["torque_ratio"]
     angle = (np.arange(rotors) + 0.5) * 2.0 * np.pi / rotors
@@ -79,7 +86,17 @@ def multirotor(**numbers: Unpack[MultirotorNumbers]) -> Airframe:
         gravity=floats([0.0, 0.0, -GRAVITY]),
     )
     least, most = (floats(xp.full(rotors, limit)) for limit in (numbers["thrust_min"], numbers["thrust_max"]))
-    return Airframe(body, least, most, floats(arm))
+    return Airframe(body, least, most, floats(numbers.get("radius", arm)))
+
+
+def _check_names(numbers: Mapping[str, Any]) -> None:
+    required, optional = MultirotorNumbers.__required_keys__, MultirotorNumbers.__optional_keys__
+    if missing := sorted(required - set(numbers)):
+        raise TypeError(f"multirotor: {', '.join(missing)} must be given")
+    if unknown := sorted(set(numbers) - required - optional):
+        raise TypeError(
+            f"multirotor: unknown {', '.join(unknown)}; there are {', '.join(sorted(required | optional))}"
+        )
 
 
 def paper_mav() -> Airframe:

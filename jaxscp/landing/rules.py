@@ -134,8 +134,8 @@ def _corridor_rules(s: Mission, xp):
     yield Rule(s.recovery >= 0.0, f"recovery: must not be negative, got {s.recovery} m.")
     yield Rule(
         inside_first >= -CLEARANCE - s.recovery,
-        f"start.position: lies {-inside_first} m outside the corridor's first polytope (empty, or elsewhere?). "
-        f"Of a measured start, recovery allows {s.recovery} m.",
+        f"start.position: lies {-inside_first} m outside the corridor's first polytope (empty, or elsewhere; or does a "
+        f"margin of connect() move a floor over it?). Of a measured start, recovery allows {s.recovery} m.",
     )
     yield Rule(
         inside_last >= -CLEARANCE,

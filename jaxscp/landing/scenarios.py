@@ -16,6 +16,7 @@ from jaxscp.dynamics.airframes import Airframe, paper_mav
 from jaxscp.landing.doubts import doubts
 from jaxscp.landing.mission import BodyState, Components, Ellipsoids, FlightLimits, Weights, at_rest
 from jaxscp.landing.scenario import LandingScenario
+from jaxscp.landing.structure import check_parts
 
 _SPACING = 0.15  # m between obstacle points
 
@@ -93,6 +94,7 @@ def through(
 
     Raises:
         TypeError: a scenario has no such field.
+        InvalidScenario: a part is of another class, a list instead of a state, say.
 
     Example:
         >>> import jaxscp
@@ -106,6 +108,7 @@ def through(
         2.0
     """
     scenario = _through(corridor, start, goal, obstacles, **parts)
+    check_parts(scenario)
     for doubt in doubts(scenario):
         warnings.warn(doubt, stacklevel=2)
     return scenario

@@ -54,6 +54,8 @@ def check_types(scenario: Mission, nodes: int) -> None:
         expected = bool if name in _MASKS else np.float64
         if leaf.dtype != expected:
             hint = "" if expected is bool else ". Was the scenario built before jax_enable_x64 was set?"
+            if np.issubdtype(leaf.dtype, np.integer):
+                hint = ". Write numbers with a decimal point: 1.0, not 1."
             raise InvalidScenario(f"{name}: expected {np.dtype(expected)}, got {leaf.dtype}{hint}")
     for name, leaf, shape in _expected_shapes(scenario):
         if tuple(leaf.shape) != shape:

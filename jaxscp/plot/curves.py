@@ -33,7 +33,16 @@ class Curves(NamedTuple):
 
 
 def integrated(scenario: LandingScenario, solution: Solution, samples: int = SAMPLES) -> Curves:
-    """The plan's controls integrated again from the start, densely between the nodes."""
+    """The plan's controls integrated again from the start, densely between the nodes.
+
+    Raises:
+        TypeError: if the scenario is no landing.
+    """
+    if not isinstance(scenario, LandingScenario):
+        raise TypeError(
+            f"scenario: expected a LandingScenario, got a {type(scenario).__name__}. They show landings; of a "
+            "problem of your own, plot solution.trajectory.sample(rate=100)."
+        )
     path = _rollout(scenario, solution, samples)
     flat = jax.tree.map(lambda v: np.asarray(v).reshape(-1, *v.shape[2:]), path)
     return Curves(flat.time, flat.state, flat.control, np.repeat(np.asarray(solution.context), samples))

@@ -155,6 +155,7 @@ class Solution(eqx.Module):
                 Status[self.status],
                 *([cause] if (cause := self.cause()) else []),
                 *(["planned anew: no plan was found from the earlier one"] if bool(self.fell_back) else []),
+                *([_NEAR_OPTIMUM] if self._is_near_optimum() else []),
                 *(["starts outside of a wall or a limit, and comes back"] if bool(self.recovers) else []),
                 f"{int(self.iterations)} iterations, {int(self.interior_point_iterations)} steps of the interior point",
                 self.backends.report(),
@@ -169,6 +170,11 @@ class Solution(eqx.Module):
         return "\n".join(
             [f"{names.size} solutions", *lines, self.backends.report(), self.certificate.report()]
         )
+
+    def _is_near_optimum(self) -> bool:
+        """Whether it converged to the method's tolerances alone, though the method looks for an optimum."""
+        converged = bool(self.status == Status.converged)
+        return converged and self.certificate.optimality is not None and not bool(self.differentiable)
 
     def __str__(self) -> str:
         return repr(self) if is_traced(self) or not _is_filled(self) else self.report()
@@ -186,6 +192,8 @@ class Solution(eqx.Module):
 
 CLASSES = Solution, Trajectory, Multipliers, Certificate, History, Backends, *DYNAMICS
 """Classes of a solution's pytree: files name them."""
+
+_NEAR_OPTIMUM = "near an optimum, within the tolerances, but not at it to rounding: there are no derivatives"
 
 _HEADINGS = "iteration", "cost", "final time", "|nu|", "|dz|", "defect", "Newton steps"
 
