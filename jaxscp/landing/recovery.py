@@ -1,11 +1,10 @@
 """Recovery: a start that lies a little outside of a wall, a zone or a limit, as a measured one may.
 
-What the start breaks is loosened by twice as much in the first interval, by less in each of the next ones, and then
-holds. No other wall moves.
+A wall that the start breaks moves out in the first interval, by twice as much. In each of the next intervals it comes
+back by a part, and then it holds. Zones and limits do the same. Nothing else changes.
 """
 
 import dataclasses
-from typing import Any
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
@@ -16,14 +15,14 @@ from jaxscp.landing.mission import Ellipsoids, FlightLimits, Mission
 CLEARANCE = 1e-6  # m by which start and goal may miss their polytope, for rounding
 RECOVERY = 0.1  # m by which the start of a re-plan may lie outside
 LIMIT_RECOVERY = 0.1  # fraction by which a start that may lie outside may exceed a limit
-ROOM = 2.0  # times what the start breaks: a start that touches a wall is hard to leave from
+ROOM = 2.0  # first relief over what the start breaks: it is hard to leave from a wall that one touches
 INTERVALS = 4  # in which the vehicle comes back
-BRAKING = 0.1  # times gravity: what a vehicle that flies outwards has to brake with
+BRAKING = 0.1  # times gravity: deceleration of a vehicle that flies outwards
 ROUNDING = 1e-9  # times a limit, or a zone's size, that counts as none
 
 
 def fading(nodes: int) -> Float[Array, "nodes"]:
-    """Relief at each node, times what the start breaks: ``ROOM`` at the first, zero from ``INTERVALS`` on."""
+    """Relief at each node over what the start breaks: ``ROOM`` at the first, zero from ``INTERVALS`` on."""
     return ROOM * jnp.maximum(1.0 - jnp.arange(nodes) / INTERVALS, 0.0)
 
 
@@ -35,12 +34,12 @@ def wall_relief(mission: Mission, polytope: Int[Array, "nodes"]) -> Float[Array,
         polytope: of every node.
     """
     corridor, start = mission.corridor, mission.start
+    excess = _wall_excess(mission, polytope[0])
     beyond = corridor.normals @ start.position - corridor.offsets
-    worst = jnp.where(_starts_anywhere(mission), 0.0, jnp.max(beyond[polytope[0]]))
     outwards = jnp.maximum(corridor.normals @ start.velocity, 0.0)
     way = outwards**2 / (2.0 * BRAKING * jnp.linalg.norm(mission.airframe.body.gravity))
     # Other polytopes, which the vehicle has not reached, open no further than its own.
-    relief = jnp.where((beyond > 0.0) & (worst > CLEARANCE), jnp.minimum(beyond, worst) + way / ROOM, 0.0)
+    relief = jnp.where((beyond > 0.0) & (excess > 0.0), jnp.minimum(beyond, excess) + way / ROOM, 0.0)
     return relief[polytope] * fading(polytope.shape[0])[:, None]
 
 
@@ -49,28 +48,18 @@ def limits_at_nodes(mission: Mission, nodes: int) -> FlightLimits:
 
     The thrust rate stays one number.
     """
-    limits = mission.limits
-
-    def at_nodes(name: str, size: Scalar) -> Any:
-        limit = getattr(limits, name)
-        if limit is None:
-            return None
-        excess = jnp.where(_starts_anywhere(mission), 0.0, jnp.maximum(size - limit, 0.0))
-        return limit + jnp.where(excess > ROUNDING * limit, excess, 0.0) * fading(nodes)
-
-    found = {name: at_nodes(name, size) for name, size in _sizes(mission).items()}
-    return dataclasses.replace(limits, **found)
+    excess = _limit_excess(mission)
+    found = {name: getattr(mission.limits, name) + by * fading(nodes) for name, by in excess.items()}
+    return dataclasses.replace(mission.limits, **found)
 
 
 def zones_at_nodes(
     mission: Mission, zones: Ellipsoids, nodes: int
 ) -> tuple[Float[Array, "nodes zones 3"], Float[Array, "nodes zones 3 3"]]:
     """Centres and shapes of keep-out zones at every node: a zone around the start begins smaller, and grows again."""
-    depth = jnp.where(_starts_anywhere(mission), 0.0, 1.0 - jnp.minimum(_nearness(mission, zones), 1.0))
-    size = 1.0 - depth * fading(nodes)[:, None]
-    return jnp.broadcast_to(zones.centres, (nodes, *zones.centres.shape)), zones.shapes / size[
-        ..., None, None
-    ]
+    size = 1.0 - _zone_excess(mission, zones) * fading(nodes)[:, None]
+    centres = jnp.broadcast_to(zones.centres, (nodes, *zones.centres.shape))
+    return centres, zones.shapes / size[..., None, None]
 
 
 def starts_outside(mission: Mission) -> Flag:
@@ -79,39 +68,48 @@ def starts_outside(mission: Mission) -> Flag:
     Args:
         mission: with unit directions.
     """
-    corridor = mission.corridor
-    beyond = jnp.max(corridor.normals[0] @ mission.start.position - corridor.offsets[0])
-    found = [beyond > CLEARANCE]
-    for name, size in _sizes(mission).items():
-        if (limit := getattr(mission.limits, name)) is not None:
-            found.append(size > (1.0 + ROUNDING) * limit)
+    excess = [_wall_excess(mission, 0), *_limit_excess(mission).values()]
     if mission.keep_out is not None:
-        found.append(jnp.any(_nearness(mission, mission.keep_out) < 1.0 - ROUNDING))
-    return jnp.any(jnp.stack(found)) & ~jnp.asarray(_starts_anywhere(mission))
+        excess.append(jnp.max(_zone_excess(mission, mission.keep_out), initial=0.0))
+    return jnp.any(jnp.stack(excess) > 0.0)
 
 
-def _starts_anywhere(mission: Mission) -> bool:
-    """Whether components of the start are free: then it is no measured state."""
-    return mission.start_fixed is not None
+# A start with free components is no measured state: it breaks nothing.
 
 
-def _sizes(mission: Mission) -> dict[str, Scalar]:
-    """Of the start, in the units of the limits."""
-    start = mission.start
-    tilt = 2.0 * jnp.arcsin(jnp.minimum(jnp.sqrt(_sum_of_squares(start.attitude[1:3])), 1.0))
-    return {
-        "speed": jnp.sqrt(_sum_of_squares(start.velocity)),
-        "tilt": tilt,
-        "body_rate": jnp.sqrt(_sum_of_squares(start.body_rate)),
+def _wall_excess(mission: Mission, polytope: Int[Array, ""] | int) -> Scalar:
+    """Distance in m by which the start lies outside of a polytope."""
+    if mission.start_fixed is not None:
+        return jnp.zeros_like(mission.start.position[0])
+    corridor = mission.corridor
+    beyond = jnp.max(corridor.normals[polytope] @ mission.start.position - corridor.offsets[polytope])
+    return jnp.where(beyond > CLEARANCE, beyond, 0.0)
+
+
+def _limit_excess(mission: Mission) -> dict[str, Scalar]:
+    """What the start exceeds each limit by, in the limit's unit; only limits that there are."""
+    start, limits = mission.start, mission.limits
+    sizes = {
+        "speed": _length(start.velocity),
+        "tilt": 2.0 * jnp.arcsin(jnp.minimum(_length(start.attitude[1:3]), 1.0)),
+        "body_rate": _length(start.body_rate),
     }
+    given: dict[str, Scalar] = {name: limit for name in sizes if (limit := getattr(limits, name)) is not None}
+    if mission.start_fixed is not None:
+        return {name: jnp.zeros_like(limit) for name, limit in given.items()}
+    beyond = {name: sizes[name] - limit for name, limit in given.items()}
+    return {name: jnp.where(by > ROUNDING * given[name], by, 0.0) for name, by in beyond.items()}
 
 
-def _sum_of_squares(vector: Float[Array, "_"]) -> Scalar:
-    """Its root has a derivative at zero."""
-    return jnp.maximum(jnp.sum(vector**2), jnp.finfo(vector.dtype).tiny)
-
-
-def _nearness(mission: Mission, zones: Ellipsoids) -> Float[Array, "zones"]:
-    """|shape (p - centre)| of the start: below one inside of a zone."""
+def _zone_excess(mission: Mission, zones: Ellipsoids) -> Float[Array, "zones"]:
+    """Depth of the start in each zone, over the zone's size."""
+    if mission.start_fixed is not None:
+        return jnp.zeros_like(zones.centres[:, 0])
     away = jnp.einsum("zrc,zc->zr", zones.shapes, mission.start.position - zones.centres)
-    return jnp.sqrt(jnp.maximum(jnp.sum(away**2, axis=1), jnp.finfo(away.dtype).tiny))
+    depth = 1.0 - jnp.sqrt(jnp.maximum(jnp.sum(away**2, axis=1), jnp.finfo(away.dtype).tiny))
+    return jnp.where(depth > ROUNDING, depth, 0.0)
+
+
+def _length(vector: Float[Array, "_"]) -> Scalar:
+    """With a derivative at zero."""
+    return jnp.sqrt(jnp.maximum(jnp.sum(vector**2), jnp.finfo(vector.dtype).tiny))

@@ -147,10 +147,8 @@ def _corridor_rules(s: Mission, xp):
             corridor.offsets[first:][: corridor.count - 1],
         )
         depth = xp.min(offsets - xp.einsum("kfc,kc->kf", normals, corridor.joints), axis=-1, initial=np.inf)
-        passed = xp.all(
-            corridor.joints == s.start.position, axis=-1
-        )  # at the start, which has a rule of its own
-        depth = xp.where(passed, 0.0, depth)
+        at_start = xp.all(corridor.joints == s.start.position, axis=-1)  # which has a rule of its own
+        depth = xp.where(at_start, 0.0, depth)
         yield Rule(
             xp.all(depth >= -CLEARANCE),
             f"corridor.joints: a joint lies outside the polytope {side} it; those polytopes are disjoint or empty, "

@@ -96,7 +96,7 @@ class Pilot(eqx.Module):
         phase = machine.next_phase(self.rules, state.phase, facts)
         changed = phase != state.phase
         since = jnp.where(changed, time, state.since)
-        push = self._push(state)
+        push = self._push(state, facts)
         target = targets.advance(self.rules, phase, state.target, observation, time - since, push)
         reached = jnp.where(targets.reached(self.rules, phase, target, observation), state.reached, time)
         begun = changed & (phase == int(Phase.approach))
@@ -134,11 +134,10 @@ class Pilot(eqx.Module):
             time=time,
         )
 
-    def _push(self, state: PilotState) -> Vector3:
+    def _push(self, state: PilotState, facts: Facts) -> Vector3:
         """Horizontal acceleration by the wind, m/s^2; zero where it is calm."""
         force = state.controller.disturbance[:3].at[2].set(0.0)
-        strong = jnp.sqrt(force @ force + 1e-12) > self.rules.calm
-        return jnp.where(strong, force / self.airframe.body.mass, 0.0)
+        return jnp.where(facts.wind > self.rules.calm, force / self.airframe.body.mass, 0.0)
 
     def _thrusts(
         self, state: PilotState, phase: Array, target: Target, observation: Observation, time: Array
@@ -158,8 +157,7 @@ class Pilot(eqx.Module):
         memory = jax.tree.map(lambda a, b: jnp.where(spooling | off, a, b), fresh, memory)
         levelling = phase == int(Phase.level_off)
         command = jnp.where(levelling, self._level(memory, observation), command)
-        commands = memory.commands.at[-1].set(command)
-        memory = eqx.tree_at(lambda m: m.commands, memory, jnp.where(levelling, commands, memory.commands))
+        memory = eqx.tree_at(lambda m: m.commands, memory, memory.commands.at[-1].set(command))
         return memory, command
 
     def _rising(self, before: Float[Array, "rotors"], own: Float[Array, "13"]) -> Float[Array, "rotors"]:
