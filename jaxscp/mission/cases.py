@@ -95,7 +95,7 @@ def _world(field: Field, keys: Any, choices: Choices) -> World:
     return eqx.tree_at(lambda w: w.course, world, jax.tree.map(jnp.asarray, never))
 
 
-def sent_off(world: World, time: Scalar) -> World:
+def sent_off(world: World, time: Scalar | float) -> World:
     """The world whose carrier begins its motion at a time, s."""
     return eqx.tree_at(lambda w: w.course.departure, world, jnp.asarray(time, float))
 
