@@ -60,8 +60,8 @@ class ScaledTimeProblem(eqx.Module):
     constraints: tuple[PathConstraint, ...]
     dilation_min: Scalar
     """Least dt/dtau; the trajectory lasts at least this long."""
-    dilation_max: Scalar
-    """Greatest dt/dtau."""
+    dilation_max: Scalar | Nodes
+    """Greatest dt/dtau, of all nodes or of each."""
     checks: tuple[PathConstraint, ...]
     sizes: Sizes | None
     """None is one for each."""

@@ -14,6 +14,7 @@ from jaxscp.core.types import Count, Flag, Scalar
 from jaxscp.problem.form import Form
 from jaxscp.problem.multipliers import Multipliers
 from jaxscp.problem.scaled_time import ScaledTimeProblem
+from jaxscp.scp import mesh
 from jaxscp.scp.history import History
 from jaxscp.scp.restart import restarted
 from jaxscp.transcription.shooting import Grid
@@ -84,4 +85,5 @@ def iterate(
 ) -> MethodResult:
     """Result of a method from the guess z; derivatives bypass the iterations."""
     frozen = jax.lax.stop_gradient((problem, z, jnp.asarray(enabled)))
-    return method.result(problem, batching.alone_on_a_cpu(lambda fixed: restarted(method, *fixed), frozen))
+    state, most = batching.alone_on_a_cpu(lambda fixed: restarted(method, *fixed), frozen)
+    return method.result(mesh.bounded(problem, most), state)

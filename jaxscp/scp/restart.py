@@ -1,9 +1,13 @@
-"""A second start: where the iterations from a guess find nothing, they start once more from a slower one.
+"""More starts: where the iterations from a guess find nothing, they start again from another guess or on another mesh.
 
 A guess that is too quick for its path needs more thrust than there is. Or it turns more between two nodes than a
-subproblem can tell. Most such problems are solved from the same path, flown more slowly.
+subproblem can tell. Most such problems are solved from the same path, flown more slowly. Others leave most of the
+flight to a few long intervals, which fixed steps integrate badly: these are solved where no interval may be much longer
+than the guess's. And where a solution is an optimum but for the errors of its integration, it is the next guess, with
+bounds on the intervals that are too long (``mesh``).
 """
 
+import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -13,11 +17,15 @@ from jaxtyping import Array, Float
 
 from jaxscp.core import batching
 from jaxscp.core.status import Status
-from jaxscp.core.types import Flag
+from jaxscp.core.types import Count, Flag, Nodes
 from jaxscp.problem.scaled_time import ScaledTimeProblem
+from jaxscp.scp import mesh
 from jaxscp.transcription.layout import trajectory_of
 
-SLOWER = 1.5  # times the guess's flight time
+FREE = jnp.inf
+STARTS = (1.0, FREE), (1.5, FREE), (2.0, 4.0), (1.0, 4.0)
+"""Of each planned start: time, and longest interval, in flight times and mean intervals of the guess."""
+ATTEMPTS = 6  # planned starts, and those from solutions whose mesh is too coarse
 AGAIN = (
     Status.dynamics_unmet,
     Status.constraints_unmet,
@@ -25,40 +33,114 @@ AGAIN = (
     Status.insufficient_progress,
     Status.numerical_error,
 )
-"""Ends that another guess may cure."""
+"""Ends that another start may cure."""
+
+
+class Start(eqx.Module):
+    """A guess, and the greatest dilation of each of its nodes; of several, along the leading axis."""
+
+    z: Float[Array, "nodes variables"]
+    most: Nodes
+
+
+class End(eqx.Module):
+    """Of the iterations from a start."""
+
+    state: Any
+    """Last one of the method."""
+    most: Nodes
+    """Greatest dilations that held."""
+    accurate: Nodes
+    """Greatest dilations that its intervals need to be accurate; infinite where they are."""
+    improves: Flag
+    """Whether it may be the guess of a finer mesh: false after it led to nothing."""
+
+    @property
+    def coarse(self) -> Flag:
+        """Whether it is a solution, but for the errors of its integration."""
+        return (self.state.status == Status.converged) & jnp.any(jnp.isfinite(self.accurate))
+
+    @property
+    def failed(self) -> Flag:
+        """Whether it is no solution, and another start may find one."""
+        return jnp.any(jnp.stack([self.state.status == status for status in AGAIN]))
 
 
 def restarted(
     method: Any, problem: ScaledTimeProblem, z: Float[Array, "nodes variables"], enabled: Flag
-) -> Any:
-    """Last state of a method from a guess, or from a slower one if only that converges.
+) -> tuple[Any, Nodes]:
+    """Last state of a method from a guess, or from the first start that leads to a solution; and its mesh's bounds.
 
     Args:
-        method: whose ``run`` is meant.
+        method: whose ``run`` is meant. Without a grid, it starts on no other mesh.
         problem: without derivatives.
         z: the guess.
         enabled: whether steps are taken at all.
     """
-    slow = slower(problem, z)
+    starts = _planned(method, problem, z)
     arrays, rest = eqx.partition(problem, eqx.is_array)
-    run = jax.jit(lambda arrays, z, enabled: method.run(eqx.combine(arrays, rest), z, enabled))  # traced once
+
+    @jax.jit  # traced once
+    def run(arrays, start: Start, enabled: Flag) -> End:
+        stated = mesh.bounded(eqx.combine(arrays, rest), start.most)
+        state = method.run(stated, start.z, enabled)
+        free = jnp.full_like(start.most, FREE)
+        accurate = free if method.grid is None else mesh.bounds(stated, state.z, method.grid)
+        return End(state, start.most, accurate, jnp.ones((), bool))
+
+    first = jax.tree.map(lambda v: v[0], starts)
     zero = lambda v: jnp.zeros(v.shape, v.dtype)  # noqa: E731
-    none = jax.tree.map(zero, jax.eval_shape(run, arrays, z, enabled))
+    nothing = jax.tree.map(zero, jax.eval_shape(run, arrays, first, enabled).state)
 
-    def attempt(last, start):
-        guess, first = start
-        failed = jnp.any(jnp.stack([last.status == status for status in AGAIN]))
-        needed = first | (enabled & failed & jnp.any(slow != z))
-        found = batching.where_needed(needed, lambda fixed, _: run(*fixed), (arrays, guess, enabled), last)
-        taken = first | (found.status == Status.converged)
-        return jax.tree.map(lambda a, b: jnp.where(taken, a, b), found, last), None
+    def attempt(carry: tuple[End, Count], _):
+        last, used = carry
+        refine = last.coarse & last.improves
+        none_yet, left = used == 0, used < starts.z.shape[0]
+        planned = jax.tree.map(lambda v: v[jnp.minimum(used, v.shape[0] - 1)], starts)
+        another = left & ~_same(problem, planned, first) & (last.coarse | last.failed)
+        needed = none_yet | (enabled & (refine | another))
+        start = _either(refine, _refined(last), planned)
+        found = batching.where_needed(needed, lambda fixed, _: run(*fixed), (arrays, start, enabled), last)
+        taken = none_yet | (found.state.status == Status.converged)
+        last = dataclasses.replace(last, improves=last.improves & ~(needed & refine))
+        return (_either(taken, found, last), used + (~refine).astype(int)), None
 
-    end, _ = jax.lax.scan(attempt, none, (jnp.stack([z, slow]), jnp.array([True, False])))
-    return end
+    begun = End(nothing, first.most, first.most, jnp.zeros((), bool)), jnp.zeros((), int)
+    (end, _), _ = jax.lax.scan(attempt, begun, length=ATTEMPTS)
+    return end.state, end.most
 
 
-def slower(problem: ScaledTimeProblem, z: Float[Array, "nodes variables"]) -> Float[Array, "nodes variables"]:
-    """The guess in more time, as far as the problem allows."""
+def _either(first: Flag, a: Any, b: Any) -> Any:
+    """The first of two pytrees, or the second."""
+    return jax.tree.map(lambda v, w: jnp.where(first, v, w), a, b)
+
+
+def slower(
+    problem: ScaledTimeProblem, z: Float[Array, "nodes variables"], factor: float
+) -> Float[Array, "nodes variables"]:
+    """The guess in a factor times its time, as far as the problem allows."""
     plan = trajectory_of(problem, z)
-    dilation = jnp.clip(SLOWER * plan.dilation, problem.dilation_min, problem.dilation_max)
+    dilation = jnp.clip(factor * plan.dilation, problem.dilation_min, problem.dilation_max)
     return problem.join(plan.state, plan.control, jnp.maximum(dilation, plan.dilation))
+
+
+def _planned(method: Any, problem: ScaledTimeProblem, z: Float[Array, "nodes variables"]) -> Start:
+    """The planned starts, in their order."""
+    mean, starts = jnp.mean(z[:, -1]), []
+    for time, longest in STARTS:
+        if longest == FREE or method.grid is not None:
+            guess = z if time == 1.0 else slower(problem, z, time)
+            starts.append(Start(guess, jnp.full(z.shape[0], longest * mean)))
+    return jax.tree.map(lambda *v: jnp.stack(v), *starts)
+
+
+def _same(problem: ScaledTimeProblem, a: Start, b: Start) -> Flag:
+    """Whether two starts are one, because the problem allows no other times."""
+    limits = [jnp.broadcast_to(mesh.bounded(problem, s.most).dilation_max, s.most.shape) for s in (a, b)]
+    return jnp.all(a.z == b.z) & jnp.all(limits[0] == limits[1])
+
+
+def _refined(last: End) -> Start:
+    """From a solution on a mesh that is too coarse."""
+    most, z = jnp.minimum(last.most, last.accurate), last.state.z
+    return Start(z.at[:, -1].min(most), most)

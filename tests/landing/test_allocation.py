@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from jaxscp import Planner, scenarios, status_names
 from jaxscp.corridor.polytopes import box, connect
-from jaxscp.landing.allocation import IN_LAST, allocate, route_positions
+from jaxscp.landing.allocation import allocate, in_last, route_positions
 from jaxscp.landing.route import route_of
 
 
@@ -30,7 +30,7 @@ def test_every_polytope_has_intervals_in_order_and_the_last_enough_to_land(lengt
     assert np.all(np.diff(cells) >= 0)
     assert counts.sum() == nodes - 1
     assert counts.min() >= 1
-    assert counts[-1] >= min(IN_LAST, nodes - len(lengths))
+    assert counts[-1] >= min(in_last(nodes), nodes - len(lengths))
 
 
 def test_long_polytopes_have_more_intervals():
