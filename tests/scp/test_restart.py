@@ -19,7 +19,7 @@ from tests.support.flights import random_nodes, short_problem
 PROBLEM = short_problem()
 GUESS = random_nodes(PROBLEM, 0)
 SLOWER = STARTS[1][0]
-COARSE, FINE = Grid(5), Grid(5, 4)
+COARSE, FINE = Grid(5), Grid(5, 12)
 
 
 class End(eqx.Module):
