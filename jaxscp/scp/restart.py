@@ -3,8 +3,8 @@
 A guess that is too quick for its path needs more thrust than there is. Or it turns more between two nodes than a
 subproblem can tell. Most such problems are solved from the same path, flown more slowly. Others leave most of the
 flight to a few long intervals, which fixed steps integrate badly: these are solved where no interval may be much longer
-than the guess's. And where a solution is an optimum but for the errors of its integration, it is the next guess, with
-bounds on the intervals that are too long (``mesh``).
+than the guess's. A solution may be an optimum but for the errors of its integration. It is then the next guess, and the
+intervals that were too long are bounded (``mesh``).
 """
 
 import dataclasses
