@@ -45,4 +45,5 @@ def pad(
         xp.concatenate([offsets, xp.repeat(offsets[-1:], more, axis=0)]),
         xp.concatenate([xp.asarray(corridor.joints), last]),
     )
-    return Corridor(*map(jnp.asarray, parts))
+    normals, offsets, joints = map(jnp.asarray, parts)
+    return Corridor(normals, offsets, joints, corridor.margin)

@@ -1,5 +1,6 @@
 """A safe flight corridor: convex polytopes, each overlapping the next (equation 20)."""
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,8 +11,8 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from jaxscp.core.arrays import namespace, unit_lengths
-from jaxscp.core.types import Normals, Offsets, Vector3
+from jaxscp.core.arrays import floats, namespace, unit_lengths
+from jaxscp.core.types import Normals, Offsets, Scalar, Vector3
 from jaxscp.corridor.overlaps import deepest_ball
 from jaxscp.corridor.polytope import Polytope as Polytope
 from jaxscp.corridor.polytope import box as box
@@ -40,6 +41,8 @@ class Corridor(eqx.Module):
     """Signed distances of the faces from the origin in metres, (polytopes, faces); one in unused rows."""
     joints: Float[Array, "joints 3"]
     """One point in each consecutive overlap in metres, (polytopes - 1, 3)."""
+    margin: Scalar | None = None
+    """Metres by which ``connect`` moved every face inwards; None if by none."""
 
     @property
     def count(self) -> int:
@@ -77,7 +80,7 @@ class Corridor(eqx.Module):
             [[4.0, 2.0, 3.0, -0.0, -0.0, -0.0]]
         """
         normals, offsets = unit_rows(self.normals, self.offsets)
-        return Corridor(jnp.asarray(normals), jnp.asarray(offsets), self.joints)
+        return dataclasses.replace(self, normals=jnp.asarray(normals), offsets=jnp.asarray(offsets))
 
 
 def connect(
@@ -126,7 +129,8 @@ def connect(
                 f"connect: {len(polytopes)} polytopes need {len(polytopes) - 1} joints, one between each two, "
                 f"got {len(centres)}"
             )
-    return Corridor(jnp.asarray(normals), jnp.asarray(offsets), jnp.asarray(centres))
+    moved = floats(margin) if margin else None
+    return Corridor(jnp.asarray(normals), jnp.asarray(offsets), jnp.asarray(centres), moved)
 
 
 def unit_rows(normals: Any, offsets: Any) -> tuple[Any, Any]:

@@ -57,9 +57,10 @@ def _points_inside(mission: Mission) -> str:
 
 
 def _narrow(mission: Mission) -> str:
-    """A polytope in which no ball of the vehicle's radius fits, where no obstacle is known."""
+    """A polytope in which no ball of the vehicle's radius fits, where no obstacle is known, and no margin was taken."""
     radius = float(mission.airframe.radius)
-    if mission.near_obstacles is not None:
+    margin = mission.corridor.margin
+    if mission.near_obstacles is not None or (margin is not None and float(margin) >= radius):
         return ""
     places = _places(mission)
     for number, cell in enumerate(mission.corridor.distinct()):

@@ -127,6 +127,16 @@ def _limit_rules(s: Mission, xp):
     )
 
 
+def _short(value) -> str:
+    """A number in three digits; one that is traced stands for no message."""
+    return f"{float(value):.3g}" if isinstance(value, float | np.ndarray) else str(value)
+
+
+def _allowed(recovery) -> str:
+    text = f"; of a measured start, recovery allows {_short(recovery)} m"
+    return text if isinstance(recovery, float | np.ndarray) and float(recovery) > 0.0 else ""
+
+
 def _corridor_rules(s: Mission, xp):
     corridor = s.corridor
     inside_first = xp.min(corridor.offsets[0] - corridor.normals[0] @ s.start.position)
@@ -134,12 +144,12 @@ def _corridor_rules(s: Mission, xp):
     yield Rule(s.recovery >= 0.0, f"recovery: must not be negative, got {s.recovery} m.")
     yield Rule(
         inside_first >= -CLEARANCE - s.recovery,
-        f"start.position: lies {-inside_first} m outside the corridor's first polytope (empty, or elsewhere; or does a "
-        f"margin of connect() move a floor over it?). Of a measured start, recovery allows {s.recovery} m.",
+        f"start.position: lies {_short(-inside_first)} m outside the corridor's first polytope (empty, or elsewhere; or does a "
+        f"margin of connect() move a wall over it?){_allowed(s.recovery)}.",
     )
     yield Rule(
         inside_last >= -CLEARANCE,
-        f"goal.position: lies {-inside_last} m outside the corridor's last polytope (empty, or elsewhere?).",
+        f"goal.position: lies {_short(-inside_last)} m outside the corridor's last polytope (empty, or elsewhere?).",
     )
     for side, first in (("before", 0), ("after", 1)):
         normals, offsets = (

@@ -86,10 +86,12 @@ class LandingScenario(Mission):
         return valid(self)
 
     def solver_inputs(self) -> "LandingScenario":
-        """The scenario without its obstacles for pictures: any number of them shares one program."""
-        if self.obstacles is None:
-            return self
-        return eqx.tree_at(lambda s: s.obstacles, self, None)
+        """The scenario without what no solver reads, so that it shares programs: pictures' obstacles, and a margin."""
+        parts = (lambda s: s.obstacles), (lambda s: getattr(s.corridor, "margin", None))  # not checked yet
+        known = [part for part in parts if part(self) is not None]
+        return (
+            eqx.tree_at(lambda s: [part(s) for part in known], self, [None] * len(known)) if known else self
+        )
 
     def usual_nodes(self) -> int:
         """Nodes for the legs of its route, by its shape alone: polytopes and gates."""

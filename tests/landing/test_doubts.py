@@ -10,8 +10,8 @@ import pytest
 
 import jaxscp
 from jaxscp.aot.aot import with_arrays
-from jaxscp.corridor import box, connect, obstacles_near
-from jaxscp.dynamics.airframes import paper_carrier
+from jaxscp.corridor import box, connect, obstacles_near, pad
+from jaxscp.dynamics.airframes import paper_carrier, paper_mav
 from jaxscp.landing.doubts import doubts
 
 ENDS = jaxscp.at_rest([1.0, 0.0, 1.0]), jaxscp.at_rest([5.0, 0.0, 1.0])
@@ -21,6 +21,10 @@ LAMP = [[3.0, 0.1, 1.0]]
 def hall(half=1.0, **parts):
     corridor = connect([box([0.0, -half, 0.0], [6.0, half, 2.0])])
     return jaxscp.scenarios.through(corridor, *ENDS, **parts)
+
+
+def _sized(radius):
+    return dataclasses.replace(paper_mav(), radius=jnp.array(radius))
 
 
 def test_a_sound_corridor_leaves_no_doubt():
@@ -42,6 +46,19 @@ def test_points_inside_the_corridor_are_warned_of():
 def test_points_of_a_deck_lie_in_the_corridor():
     near = obstacles_near(hall().corridor, LAMP, 0.3, decks=[box([2.0, -1.0, 0.0], [4.0, 1.0, 2.0])])
     assert doubts(hall(near_obstacles=near)) == ()
+
+
+def test_a_door_whose_margin_was_taken_is_not_too_narrow():
+    """Of a gap of 1.2 m, a vehicle with a hull of 0.35 m keeps 0.5 m for its centre."""
+    rooms = [box([0, 0, 0], [4, 4, 3]), box([3, 1.4, 0], [6, 2.6, 2]), box([5, 0, 0], [9, 4, 3])]
+    ends = jaxscp.at_rest([1.0, 2.0, 1.0]), jaxscp.at_rest([8.0, 2.0, 1.0])
+    through = jaxscp.scenarios.through
+    corridor = pad(connect(rooms, margin=0.35), ends[1].position, polytopes=4)
+    assert float(corridor.with_unit_normals().margin) == 0.35
+    assert doubts(through(corridor, *ends, airframe=_sized(0.35))) == ()
+    with pytest.warns(UserWarning, match="polytope 1 leaves the centre a ball of radius 0.25 m"):
+        narrower = through(connect(rooms, margin=0.35), *ends, airframe=_sized(0.36))
+    assert narrower.solver_inputs().corridor.margin is None  # plans with and without a margin share programs
 
 
 def test_a_corridor_narrower_than_the_vehicle_is_warned_of():

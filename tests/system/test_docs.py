@@ -26,6 +26,7 @@ MARKS = {  # pages that compile for more than some seconds; pages that compile t
     "README.md": SLOW,
     "docs/problems.md": SLOW,
     "docs/first_plan.md": SLOW,
+    "docs/vehicle.md": SLOW,
     "docs/maps.md": SLOW,
     "docs/compile.md": SLOW,
     "docs/control.md": SLOW,
