@@ -144,8 +144,8 @@ def _corridor_rules(s: Mission, xp):
     yield Rule(s.recovery >= 0.0, f"recovery: must not be negative, got {s.recovery} m.")
     yield Rule(
         inside_first >= -CLEARANCE - s.recovery,
-        f"start.position: lies {_short(-inside_first)} m outside the corridor's first polytope (empty, or elsewhere; or does a "
-        f"margin of connect() move a wall over it?){_allowed(s.recovery)}.",
+        f"start.position: lies {_short(-inside_first)} m outside the corridor's first polytope (empty, or elsewhere; "
+        f"or does a margin of connect() move a wall over it?){_allowed(s.recovery)}.",
     )
     yield Rule(
         inside_last >= -CLEARANCE,
