@@ -89,11 +89,16 @@ class Certificate(eqx.Module):
             good &= self.optimality <= OPTIMALITY_TOLERANCE
         return good & jnp.all(self.between_nodes <= self.allowed, axis=-1) if between_nodes else good
 
-    def largest_row(self) -> str:
-        """The row that is furthest beyond its tolerance, in words; empty if none is. For one solution, not a batch."""
+    def largest_row(self, between_nodes: bool = True) -> str:
+        """The row that is furthest beyond its tolerance, in words; empty if none is. For one solution, not a batch.
+
+        Args:
+            between_nodes: whether constraints count, as in ``passed``.
+        """
         names = (*self.end_names, *self.names, "clearance")
         overlap = 0.0 if self.clearance is None else max(-float(self.clearance), 0.0)
-        values = np.concatenate([self.end_errors, self.between_nodes, [overlap]])
+        between = self.between_nodes if between_nodes else np.zeros(len(self.names))
+        values = np.concatenate([self.end_errors, between, [overlap]])
         allowed = np.concatenate([self.end_tolerances, self.allowed, [DISTANCE_TOLERANCE]])
         ratios = np.nan_to_num(values / allowed, posinf=np.inf)
         if not (ratios > 1.0).any():
