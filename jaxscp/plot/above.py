@@ -10,15 +10,15 @@ from jaxscp.corridor.shapes import vertices
 from jaxscp.landing.mission import Ellipsoids
 from jaxscp.landing.scenario import LandingScenario
 from jaxscp.plot.curves import Curves
+from jaxscp.plot.hidden import at_height_of
 from jaxscp.plot.style import BLACK, BLUE, GATE, GOAL, GREY, LIMIT, START
 
 
 def draw_above(ax: Axes, scenario: LandingScenario, curves: Curves, nodes: Curves) -> Axes:
     """Corridor, obstacles, zones, gates and path on the x-y plane, to one scale, in metres."""
     if scenario.obstacles is not None:
-        ax.plot(
-            *np.asarray(scenario.obstacles)[:, :2].T, ".", color=GREY, markersize=0.8, alpha=0.5, zorder=1
-        )
+        points = at_height_of(curves.state[:, :3], np.asarray(scenario.obstacles))
+        ax.plot(*points[:, :2].T, ".", color=GREY, markersize=0.8, alpha=0.5, zorder=1)
     for cell in scenario.corridor.distinct():
         corners = vertices(cell)[:, :2]
         outline = corners[ConvexHull(corners).vertices]

@@ -16,7 +16,7 @@ from jaxscp.dynamics import rotations
 from jaxscp.landing.mission import BodyState, Ellipsoids
 from jaxscp.landing.scenario import LandingScenario
 from jaxscp.plot.curves import Array, Curves
-from jaxscp.plot.hidden import hidden, toward_viewer
+from jaxscp.plot.hidden import cut_open, hidden, toward_viewer
 from jaxscp.plot.style import BLACK, BLUE, BODY_AXES, GATE, GOAL, GREY, LIMIT, SKY, START
 
 ELEVATION, AZIMUTH = 38.0, -70.0  # degrees
@@ -27,13 +27,17 @@ def draw_scene(
 ) -> Axes3D:
     """Corridor, obstacles, landing cone, path and attitude in three dimensions, to one scale.
 
-    Parts of the path behind obstacle points are dotted. ``every``: body axes are drawn at every n-th node.
+    Parts of the path behind obstacle points are dotted; a room that hides most of it is cut open. ``every``: body axes
+    are drawn at every n-th node.
     """
     ax.computed_zorder = False  # matplotlib knows no depth: ``hidden`` does
     ax.set_proj_type("ortho")
     low, high = _bounds(scenario, nodes)
+    points = np.empty((0, 3)) if scenario.obstacles is None else np.asarray(scenario.obstacles)
+    points = points[np.all((points >= low) & (points <= high), axis=1)]
+    points = cut_open(points, curves.state[:, :3], toward_viewer(ELEVATION, AZIMUTH))
     if scenario.obstacles is not None:
-        draw_obstacles(ax, np.asarray(scenario.obstacles), low, high)
+        draw_obstacles(ax, points, low, high)
     draw_corridor(ax, scenario.corridor)
     draw_ellipsoids(ax, scenario.keep_out, LIMIT, "keep-out zone")
     draw_ellipsoids(ax, scenario.gates, GATE, "gate")
@@ -42,16 +46,15 @@ def draw_scene(
     draw_body_axes(ax, nodes, length=0.05 * float(np.max(high - low)), every=every)
     x, y, z = curves.state[:, :3].T
     ax.plot(x, y, np.full_like(z, low[2]), color=GREY, linewidth=1.2, zorder=1, label="shadow on the ground")
-    _draw_path(ax, scenario, curves, nodes)
+    _draw_path(ax, points, curves, nodes)
     _mark_ends(ax, scenario.start, goal)
     _to_scale(ax, low, high)
     return ax
 
 
-def _draw_path(ax: Axes3D, scenario: LandingScenario, curves: Curves, nodes: Curves) -> None:
+def _draw_path(ax: Axes3D, points: Array, curves: Curves, nodes: Curves) -> None:
     """The path: solid where it is seen, dotted behind obstacles; nodes where they are seen."""
     viewer = toward_viewer(ELEVATION, AZIMUTH)
-    points = np.empty((0, 3)) if scenario.obstacles is None else np.asarray(scenario.obstacles)
     behind = hidden(curves.state[:, :3], points, viewer)
     seen, dotted = (np.where(rows[:, None], curves.state[:, :3], np.nan) for rows in (~behind, behind))
     ax.plot(*seen.T, color=BLACK, linewidth=1.8, zorder=6, label="integrated path")
