@@ -47,8 +47,8 @@ def draw_view(ax: Axes, mission: Mission, axes: tuple[int, int]) -> Axes:
     ax.plot(flight.carrier[:, a], flight.carrier[:, b], color=BLUE, linewidth=2.0, label="carrier")
     ax.plot(flight.vehicle[:, a], flight.vehicle[:, b], color=BLACK, linewidth=1.2, label="vehicle, true")
     first, goal = flight.vehicle[0], np.asarray(mission.case.goal)
-    ax.plot(first[a], first[b], "s", color=START, markeredgecolor="white")
-    ax.plot(goal[a], goal[b], "*", color=GOAL, markersize=11, markeredgecolor="white")
+    ax.plot(first[a], first[b], "s", color=START, markeredgecolor="white", label="start")
+    ax.plot(goal[a], goal[b], "*", color=GOAL, markersize=11, markeredgecolor="white", label="goal")
     low, high = np.array(mission.case.field.lower), np.array(mission.case.field.upper)
     ax.set(xlim=(low[a] - 1.0, high[a] + 1.0), ylim=(low[b] - 1.0, high[b] + 1.0))
     names = "xyz"

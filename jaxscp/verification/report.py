@@ -4,6 +4,8 @@ from typing import Any
 
 import numpy as np
 
+_ROUNDING = 1e-12  # in any row's unit
+
 
 def report(certificate: Any) -> str:
     """Lines for people: a row for each end, constraint and residual.
@@ -42,12 +44,17 @@ def _worst(values: Any, sign: float = 1.0) -> tuple[str, str]:
     """The largest value, or the least for the sign -1, and the element that has it; invalid elements are NaN."""
     values = np.asarray(values)
     if values.ndim == 0:
-        return f"{values:.3g}", ""
+        return _text(values), ""
     known = np.where(np.isnan(values), -np.inf, sign * values)
     if not np.any(np.isfinite(known) | (known == np.inf)):
         return "nan", ""
     where = np.unravel_index(np.argmax(known), known.shape)
-    return f"{values[where]:.3g}", f" (element {', '.join(map(str, where))})"
+    return _text(values[where]), f" (element {', '.join(map(str, where))})"
+
+
+def _text(value: Any) -> str:
+    """Three digits; what is left of rounding is zero."""
+    return "0" if abs(value) < _ROUNDING else f"{value:.3g}"
 
 
 def _share(certificate: Any) -> str:
