@@ -58,8 +58,8 @@ class ScaledTimeProblem(eqx.Module):
     cost: Cost
     boundary: Boundary
     constraints: tuple[PathConstraint, ...]
-    dilation_min: Scalar
-    """Least dt/dtau; the trajectory lasts at least this long."""
+    dilation_min: Scalar | Nodes
+    """Least dt/dtau, of all nodes or of each; the trajectory lasts at least this long."""
     dilation_max: Scalar | Nodes
     """Greatest dt/dtau, of all nodes or of each."""
     checks: tuple[PathConstraint, ...]

@@ -33,7 +33,11 @@ def bounds(problem: ScaledTimeProblem, z: Float[Array, "nodes variables"], grid:
     return jnp.minimum(jnp.concatenate([interval, none]), jnp.concatenate([none, interval]))
 
 
-def bounded(problem: ScaledTimeProblem, most: Nodes) -> ScaledTimeProblem:
-    """The problem with a greatest dilation of each node, as far as its least one allows."""
+def bounded(problem: ScaledTimeProblem, most: Nodes, least: Nodes | float = 0.0) -> ScaledTimeProblem:
+    """The problem with a greatest dilation of each node, as far as its least one allows, and a least one."""
     allowed = jnp.maximum(most, 2.0 * problem.dilation_min)
-    return dataclasses.replace(problem, dilation_max=jnp.minimum(problem.dilation_max, allowed))
+    return dataclasses.replace(
+        problem,
+        dilation_min=jnp.maximum(problem.dilation_min, least),
+        dilation_max=jnp.minimum(problem.dilation_max, allowed),
+    )

@@ -20,12 +20,14 @@ from jaxscp.backends.serving import Backends
 from jaxscp.conic.program import ConicMultipliers, served_by
 from jaxscp.core import batching
 from jaxscp.core.status import Status
-from jaxscp.core.types import Flag, Scalar
+from jaxscp.core.types import Count, Flag, Nodes, Scalar
 from jaxscp.nlp.central_path import Point
 from jaxscp.nlp.sensitivity import implicit_solution
 from jaxscp.problem.form import Continuous, Form
+from jaxscp.problem.multipliers import Multipliers
 from jaxscp.problem.node_values import typical_sizes
 from jaxscp.problem.scaled_time import ScaledTimeProblem
+from jaxscp.scp import mesh
 from jaxscp.scp.acceptance import accept_or_reject
 from jaxscp.scp.active_set import near_limits
 from jaxscp.scp.convergence import check_convergence
@@ -46,9 +48,24 @@ TOLERANCE_FACTORS = (100.0, 1.0)  # times the tolerances, at which the interior 
 BARRIER_OF_STEP = (
     1e-2  # first barrier of the interior point, over the square of the last step, in typical sizes
 )
+# The interior point's mesh is free first. Many plans cost nearly the same on other meshes: along such directions it may
+# go on for long. Then the dilation of each node keeps within this factor.
+MESH_RATIOS = jnp.inf, 1.3
 MERIT_MEMORY = 5  # accepted points whose worst merit a new one must beat
 # On leaving a limit, one round each; the last one is lower: a limit may be left where nothing else helps.
 RESTORATION_PENALTIES = (1e7, 1e7, 1e7, 1e4)
+
+
+class _Optimum(eqx.Module):
+    """What the interior point found."""
+
+    z: Float[Array, "nodes variables"]
+    multipliers: Multipliers
+    least: Nodes
+    """Bounds of each node's dilation."""
+    most: Nodes
+    found: Flag
+    steps: Count
 
 
 class NewtonSCP(NewtonSettings):
@@ -90,6 +107,7 @@ class NewtonSCP(NewtonSettings):
 
     def result(self, problem: ScaledTimeProblem, state: NewtonState) -> MethodResult:
         """Result of the last state, with derivatives by the implicit function theorem."""
+        problem = mesh.bounded(problem, state.dilation_most, state.dilation_least)
         point = implicit_solution(problem, Point(state.z, state.multipliers), self.grid, state.is_optimum)
         cost = total_cost(problem, point.z, evaluate(problem, point.z, self.grid))
         program = program_like(problem, state.z, state.linear)
@@ -132,6 +150,8 @@ class NewtonSCP(NewtonSettings):
             status=Status.iteration_limit,
             done=no,
             history=History.zeros(self.max_iterations, z.dtype),
+            dilation_least=jnp.zeros(z.shape[0], z.dtype),
+            dilation_most=jnp.full(z.shape[0], jnp.inf, z.dtype),
         )
 
     def step(
@@ -173,15 +193,8 @@ class NewtonSCP(NewtonSettings):
 
     def switch_to_interior_point(self, problem: ScaledTimeProblem, state: NewtonState) -> NewtonState:
         """The optimum close to the last iterate, if the interior point finds it; else the state as it is."""
-        # A high barrier would lead a point that is an optimum away from it, and perhaps to another one.
-        last = state.history.step_norm[jnp.maximum(state.iterations - 1, 0)]
-        mu = jnp.clip(BARRIER_OF_STEP * last**2, self.interior.final_mu, self.interior.initial_mu)
-        interior = eqx.tree_at(lambda i: i.initial_mu, self.interior, mu)
-        found = interior.run(problem, state.z, state.multipliers, self.grid, state.close_to_optimum)
-        is_optimum = state.close_to_optimum & self.interior.is_optimum(found)
-        z, multipliers = jax.tree.map(
-            lambda a, b: jnp.where(is_optimum, a, b), (found.z, found.y), (state.z, state.multipliers)
-        )
+        found = self._interior_optimum(problem, state)
+        z, is_optimum = found.z, found.found
         cost = jnp.sum(evaluate(problem, z, self.grid).cost) + problem.terminal_cost(z)
         return eqx.tree_at(
             lambda s: (
@@ -193,19 +206,47 @@ class NewtonSCP(NewtonSettings):
                 s.close_to_optimum,
                 s.done,
                 s.interior_point_iterations,
+                s.dilation_least,
+                s.dilation_most,
             ),
             state,
             (
                 z,
-                multipliers,
+                found.multipliers,
                 jnp.where(is_optimum, cost, state.cost),
                 Status.where(is_optimum, Status.converged, state.status),
                 is_optimum | state.is_optimum,
                 jnp.zeros((), bool),
                 state.done & (is_optimum | ~state.close_to_optimum),
                 state.interior_point_iterations + found.steps,
+                found.least,
+                found.most,
             ),
         )
+
+    def _interior_optimum(self, problem: ScaledTimeProblem, state: NewtonState) -> _Optimum:
+        """By the interior point: on a free mesh, and else on one near the last iterate's."""
+        # A high barrier would lead a point that is an optimum away from it, and perhaps to another one.
+        last = state.history.step_norm[jnp.maximum(state.iterations - 1, 0)]
+        mu = jnp.clip(BARRIER_OF_STEP * last**2, self.interior.final_mu, self.interior.initial_mu)
+        interior = eqx.tree_at(lambda i: i.initial_mu, self.interior, mu)
+
+        def run(fixed, found: _Optimum) -> _Optimum:
+            problem, z, multipliers, least, most = fixed
+            end = interior.run(mesh.bounded(problem, most, least), z, multipliers, self.grid)
+            is_optimum, steps = interior.is_optimum(end), found.steps + end.steps
+            new = _Optimum(end.z, end.y, least, most, is_optimum, steps)
+            found = eqx.tree_at(lambda f: f.steps, found, steps)
+            return jax.tree.map(lambda a, b: jnp.where(is_optimum, a, b), new, found)
+
+        def attempt(found: _Optimum, bounds):
+            fixed = (problem, state.z, state.multipliers, *bounds)
+            return batching.where_needed(state.close_to_optimum & ~found.found, run, fixed, found), None
+
+        dilation, ratios, none = state.z[:, -1], jnp.array(MESH_RATIOS)[:, None], jnp.zeros((), int)
+        as_it_is = state.z, state.multipliers, state.dilation_least, state.dilation_most
+        begun = _Optimum(*as_it_is, jnp.zeros((), bool), none)
+        return jax.lax.scan(attempt, begun, (dilation / ratios, dilation * ratios))[0]
 
     def restore_dynamics(self, problem: ScaledTimeProblem, state: NewtonState) -> NewtonState:
         """Reduce the remaining defects and end residuals by Newton's method, with a penalty on leaving limits.

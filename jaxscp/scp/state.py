@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 from jaxscp.conic.interior_point import InteriorPoint
 from jaxscp.conic.program import ConicMultipliers, ConicSolver
 from jaxscp.core.status import StatusCode
-from jaxscp.core.types import Count, Flag, Scalar
+from jaxscp.core.types import Count, Flag, Nodes, Scalar
 from jaxscp.nlp.interior_point import NLPInteriorPoint
 from jaxscp.problem.multipliers import Multipliers
 from jaxscp.scp.history import History
@@ -65,6 +65,10 @@ class NewtonState(eqx.Module):
     status: StatusCode
     done: Flag
     history: History
+    dilation_least: Nodes
+    """Bounds of each node's dilation that held for the optimum; zero where the problem's own did."""
+    dilation_most: Nodes
+    """Infinite where the problem's own did."""
 
     @property
     def residual(self) -> Residual:

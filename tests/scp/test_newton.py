@@ -102,3 +102,15 @@ def test_a_problem_that_carries_its_cost_as_a_state_is_refused():
     z = random_nodes(problem, 0)
     with pytest.raises(ValueError, match="carries_cost"):
         NewtonSCP().init(problem, z)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("seed", [6, 93, 1010, 1018])
+def test_plans_with_a_flat_mesh_are_optima(seed):
+    """On a free mesh, the interior point ends without an optimum after 80 steps, far along the mesh."""
+    from benchmarks.robustness.chains import chain
+
+    solution = Planner()(chain(seed).scenario)
+    assert status_names(solution.status) == "converged"
+    assert bool(solution.differentiable)
+    assert float(solution.certificate.optimality) < 1e-4
