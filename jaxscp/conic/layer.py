@@ -33,7 +33,7 @@ from jaxscp.conic.program import ConicSolution, StagedProgram
 from jaxscp.conic.smoothing import central_pair
 from jaxscp.core.implicit import first_order_only, symmetric_solve
 from jaxscp.core.status import Status
-from jaxscp.core.trees import tree_axpy
+from jaxscp.core.trees import tree_axpy, tree_where
 from jaxscp.core.types import Flag, Scalar
 
 _SYSTEM_TOLERANCE = 1e-8  # relative residual below which a linear system counts as solved
@@ -107,7 +107,7 @@ class ConicLayer(eqx.Module):
         # The matrix is finite even if it has no meaning, since zero times NaN would not be zero.
         pair = central_pair(jax.tree.map(lambda v: jnp.where(is_optimum, v, 1.0), point.t), self.mu)
         matrix = factorise(scaled, pair)
-        x, y = jax.tree.map(lambda a, b: jnp.where(is_optimum, a, b), (point.x, pair.y), (x, y))
+        x, y = tree_where(is_optimum, (point.x, pair.y), (x, y))
         cost = scales.cost * constant.objective(scales.columns * x.z)
         x, y, cost = _implicit_optimum(scaled_by(program, scales), (x, y, cost), matrix, is_optimum)
         z, multipliers = restored(scaled, scales, x, y)

@@ -14,7 +14,7 @@ from jaxscp.conic.iterate import Iterate
 from jaxscp.conic.program import StagedProgram, WarmStart
 from jaxscp.conic.residuals import Residuals, residuals_at, with_measures
 from jaxscp.conic.settings import Settings
-from jaxscp.core.trees import tree_axpy
+from jaxscp.core.trees import tree_axpy, tree_where
 from jaxscp.core.types import Flag, Scalar
 
 SHORTEST_STEP = 1e-6  # a shorter step is no progress
@@ -91,7 +91,7 @@ class Loop(eqx.Module):
         enough = directions.suffices(r, affine, self.tolerance)
         sigma = jnp.where(enough, 0.0, directions.centring(affine))
         corrected = directions.corrector(r, affine, sigma)
-        direction = jax.tree.map(lambda a, b: jnp.where(enough, a, b), affine, corrected)
+        direction = tree_where(enough, affine, corrected)
         primal, dual = (directions.step_fraction * length for length in directions.longest_steps(direction))
 
         new = tree_axpy(primal, direction, old)
@@ -107,7 +107,7 @@ class Loop(eqx.Module):
         predicted = with_measures(self.program, self.scales, new, rx, ry)
         computed = residuals_at(self.program, self.scales, new)
         exact = close | self._needs_exact_residuals(predicted)
-        residuals = jax.tree.map(lambda a, b: jnp.where(exact, a, b), computed, predicted)
+        residuals = tree_where(exact, computed, predicted)
         return self._accept(state, new, residuals, jnp.minimum(primal, dual))
 
     def _accept(self, state: LoopState, new: Iterate, residuals: Residuals, length: Scalar) -> LoopState:
@@ -118,7 +118,7 @@ class Loop(eqx.Module):
         worse = (r.error < self.settings.loose_tolerance) & (residuals.error > WORSE * r.error)
         stalled = (length < SHORTEST_STEP) | worse
         reject = broken | (stalled & (residuals.error > r.error))
-        new, residuals = jax.tree.map(lambda a, b: jnp.where(reject, a, b), (old, r), (new, residuals))
+        new, residuals = tree_where(reject, (old, r), (new, residuals))
         return LoopState(new, residuals, state.iterations + 1, stalled, broken)
 
     def _close_to_end(self, r: Residuals) -> Flag:

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxscp.core.status import Status, StatusCode, status_names
+from jaxscp.core.trees import tree_where
 from jaxscp.core.types import Flag, Scalar
 from jaxscp.problem.trajectory import Trajectory
 
@@ -56,7 +57,7 @@ def replaced(held: HeldPlan, new: HeldPlan, status: StatusCode) -> tuple[HeldPla
     Both have the same shapes. It is pure: for simulations in ``jit`` and ``vmap``.
     """
     accepted = status == Status.converged
-    return jax.tree.map(lambda a, b: jnp.where(accepted, a, b), new, held), accepted
+    return tree_where(accepted, new, held), accepted
 
 
 class RecedingHorizon:

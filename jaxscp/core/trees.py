@@ -1,12 +1,14 @@
 """Vector arithmetic on pytrees, and the names of their leaves."""
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 
-from jaxscp.core.types import Scalar
+from jaxscp.core.types import Flag, Scalar
+
+Tree = TypeVar("Tree")
 
 
 def tree_dot(a, b) -> Scalar:
@@ -23,6 +25,11 @@ def tree_axpy(a, x, y):
 def tree_negated(a):
     """-a for pytrees."""
     return jax.tree.map(jnp.negative, a)
+
+
+def tree_where(condition: Flag, a: Tree, b: Tree) -> Tree:
+    """a where the condition holds, else b, for pytrees of one structure."""
+    return jax.tree.map(lambda x, y: jnp.where(condition, x, y), a, b)
 
 
 def tree_max(a) -> Scalar:

@@ -9,19 +9,18 @@ method's planes, six of a box about the segment, six of the volume that may be f
 # jax 0.9 declares of ``where`` that it may return a tuple, for arguments whose types are not declared
 
 from abc import abstractmethod
-from typing import TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, ScalarLike
 
+from jaxscp.core.trees import tree_where
 from jaxscp.core.types import Vector3
 from jaxscp.corridor.ellipsoids import Columns, Ellipsoid, around_segment, inside_polytope
 from jaxscp.corridor.halfspaces import Cuts, Keep, capsule_only, cut_away, switch, turn
 from jaxscp.corridor.polytope import Polytope
 
-Tree = TypeVar("Tree")
 _SHORTEST = 1e-3
 """Half length in metres below which a segment's ellipsoid is taken as if it were this long."""
 
@@ -219,17 +218,12 @@ class InflationFIRI(Decomposition):
         best = lay(first)
         ellipsoid, volume = largest(best)
         # A cell whose face touches the segment's middle has no ellipsoid: keep to the first.
-        ellipsoid = _select(jnp.isfinite(volume), ellipsoid, first)
+        ellipsoid = tree_where(jnp.isfinite(volume), ellipsoid, first)
         for _ in range(self.rounds - 1):
             cuts = lay(ellipsoid)
             grown, grown_volume = largest(cuts)
             better = (grown_volume > volume) & (cuts.left <= best.left)
-            best = _select(better, cuts, best)
-            ellipsoid = _select(better, grown, ellipsoid)
+            best = tree_where(better, cuts, best)
+            ellipsoid = tree_where(better, grown, ellipsoid)
             volume = jnp.where(better, grown_volume, volume)
         return best
-
-
-def _select(condition: Bool[Array, ""], yes: Tree, no: Tree) -> Tree:
-    """Choose between two pytrees of one structure."""
-    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), yes, no)

@@ -11,13 +11,13 @@ saves a fifth of the iterations.
 """
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from jaxscp.conic.interior_point import InteriorPoint
 from jaxscp.conic.program import Cones, CouplingRows, HalfSpaceRows, StagedProgram
 from jaxscp.core.status import StatusCode
+from jaxscp.core.trees import tree_where
 from jaxscp.core.types import Controls, Nodes, Points, Scalar, States, Vector3
 from jaxscp.dynamics import flatness, rotations
 from jaxscp.landing.allocation import gate_nodes, route_positions
@@ -69,7 +69,7 @@ def initial_guess(scenario: Mission, allocation: Int[Array, "intervals"]) -> Gue
     straight = route_positions(scenario.route(), allocation)
     solved = jnp.all(jnp.isfinite(solution.z)) & (program.violation(solution.z) < GUESS_VIOLATION)
     still = jnp.zeros_like(straight)
-    path = jax.tree.map(lambda a, b: jnp.where(solved, a, b), path, (straight, still, still))
+    path = tree_where(solved, path, (straight, still, still))
     states, controls = _states_and_controls(scenario, path, duration / allocation.shape[0])
     return Guess(states, controls, jnp.full((program.nodes,), duration), solution.status)
 

@@ -132,20 +132,17 @@ def _short(value) -> str:
     return f"{float(value):.3g}" if isinstance(value, float | np.ndarray) else str(value)
 
 
-def _allowed(recovery) -> str:
-    text = f"; of a measured start, recovery allows {_short(recovery)} m"
-    return text if isinstance(recovery, float | np.ndarray) and float(recovery) > 0.0 else ""
-
-
 def _corridor_rules(s: Mission, xp):
     corridor = s.corridor
     inside_first = xp.min(corridor.offsets[0] - corridor.normals[0] @ s.start.position)
     inside_last = xp.min(corridor.offsets[-1] - corridor.normals[-1] @ s.goal.position)
+    recovery = _short(s.recovery)
+    allowed = "" if recovery == "0" else f"; of a measured start, recovery allows {recovery} m"
     yield Rule(s.recovery >= 0.0, f"recovery: must not be negative, got {s.recovery} m.")
     yield Rule(
         inside_first >= -CLEARANCE - s.recovery,
         f"start.position: lies {_short(-inside_first)} m outside the corridor's first polytope (empty, or elsewhere; "
-        f"or does a margin of connect() move a wall over it?){_allowed(s.recovery)}.",
+        f"or does a margin of connect() move a wall over it?){allowed}.",
     )
     yield Rule(
         inside_last >= -CLEARANCE,

@@ -87,11 +87,10 @@ class LandingScenario(Mission):
 
     def solver_inputs(self) -> "LandingScenario":
         """The scenario without what no solver reads, so that it shares programs: pictures' obstacles, and a margin."""
-        parts = (lambda s: s.obstacles), (lambda s: getattr(s.corridor, "margin", None))  # not checked yet
-        known = [part for part in parts if part(self) is not None]
-        return (
-            eqx.tree_at(lambda s: [part(s) for part in known], self, [None] * len(known)) if known else self
-        )
+        plain = self if self.obstacles is None else eqx.tree_at(lambda s: s.obstacles, self, None)
+        if getattr(self.corridor, "margin", None) is None:  # its class is not checked yet
+            return plain
+        return eqx.tree_at(lambda s: s.corridor.margin, plain, None)
 
     def usual_nodes(self) -> int:
         """Nodes for the legs of its route, by its shape alone: polytopes and gates."""

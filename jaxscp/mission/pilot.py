@@ -3,11 +3,11 @@
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from jaxscp.control import NMPC, Actuators, NMPCState, Reference
+from jaxscp.core.trees import tree_where
 from jaxscp.core.types import Scalar, Vector3
 from jaxscp.dynamics.airframes import Airframe
 from jaxscp.dynamics.rotations import rotation_matrix
@@ -154,7 +154,7 @@ class Pilot(eqx.Module):
         command = jnp.where(spooling | off, open_loop, command)
         # contact is no disturbance of the flight: on the deck the controller's memory begins again
         fresh = self.nmpc.init(reference, observation.state(), time, open_loop)
-        memory = jax.tree.map(lambda a, b: jnp.where(spooling | off, a, b), fresh, memory)
+        memory = tree_where(spooling | off, fresh, memory)
         levelling = phase == int(Phase.level_off)
         command = jnp.where(levelling, self._level(memory, observation), command)
         memory = eqx.tree_at(lambda m: m.commands, memory, memory.commands.at[-1].set(command))

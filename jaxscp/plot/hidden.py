@@ -37,12 +37,17 @@ def hidden(
         return np.zeros(len(path), bool)
     some = obstacles[:: max(1, len(obstacles) // _FEW)]
     spacing = np.median(KDTree(obstacles).query(some, k=2)[0][:, 1])
-    plane = np.linalg.svd(viewer[None])[2][1:]  # two directions of the picture
+    plane = _picture_plane(viewer)
     near = KDTree(obstacles @ plane.T).query_ball_point(path @ plane.T, _REACH * max(spacing, 1e-9))
     depth, of_path = obstacles @ viewer, path @ viewer
     return np.array(
         [bool(np.any(depth[rows] >= here + spacing)) for rows, here in zip(near, of_path, strict=True)]
     )
+
+
+def _picture_plane(viewer: Array) -> Float[np.ndarray, "2 3"]:
+    """Two directions of the picture."""
+    return np.linalg.svd(viewer[None])[2][1:]
 
 
 def cut_open(
@@ -64,7 +69,7 @@ def cut_open(
     """
     if np.mean(hidden(path, obstacles, viewer)) <= _MOST:
         return obstacles
-    plane = np.linalg.svd(viewer[None])[2][1:]
+    plane = _picture_plane(viewer)
     nearest = KDTree(path @ plane.T).query(obstacles @ plane.T)[1]
     return obstacles[obstacles @ viewer <= path[nearest] @ viewer]
 

@@ -34,8 +34,7 @@ def draw_scene(
     ax.set_proj_type("ortho")
     low, high = _bounds(scenario, nodes)
     points = np.empty((0, 3)) if scenario.obstacles is None else np.asarray(scenario.obstacles)
-    points = points[np.all((points >= low) & (points <= high), axis=1)]
-    points = cut_open(points, curves.state[:, :3], toward_viewer(ELEVATION, AZIMUTH))
+    points = cut_open(_within(points, low, high), curves.state[:, :3], toward_viewer(ELEVATION, AZIMUTH))
     if scenario.obstacles is not None:
         draw_obstacles(ax, points, low, high)
     draw_corridor(ax, scenario.corridor)
@@ -101,13 +100,17 @@ def draw_corridor(ax: Axes3D, corridor: Corridor, color: str = BLUE) -> Axes3D:
 
 def draw_obstacles(ax: Axes3D, points: Array, low: Array, high: Array, most: int = 6000) -> Axes3D:
     """The part of a point cloud within the picture, thinned evenly to at most ``most`` points."""
-    points = points[np.all((points >= low) & (points <= high), axis=1)]
+    points = _within(points, low, high)
     points = points[:: max(1, -(-len(points) // most))]
     shade = np.clip((points[:, 2] - low[2]) / (high[2] - low[2]), 0.0, 1.0)
     style: dict[str, Any] = {"s": 2.2, "cmap": "Greys_r", "vmin": -0.6, "vmax": 1.6, "linewidths": 0}
     ax.scatter(*points.T, c=shade, depthshade=False, zorder=1, **style)  # low ones darker
     ax.plot([], [], [], "o", color=GREY, markersize=2.5, linestyle="none", label="obstacle points")
     return ax
+
+
+def _within(points: Array, low: Array, high: Array) -> Array:
+    return points[np.all((points >= low) & (points <= high), axis=1)]
 
 
 def draw_ellipsoids(ax: Axes3D, zones: Ellipsoids | None, color: str, name: str) -> Axes3D:

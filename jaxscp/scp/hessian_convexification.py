@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from jaxscp.core.trees import tree_where
 from jaxscp.core.types import Scalar
 from jaxscp.linalg.eigen.dispatch import eigen, nearest
 
@@ -91,7 +92,7 @@ def _convex_block(whole: Float[Array, "n n"], stage: int):
     def first_that_suffices(whole):
         found = tries[-1]
         for i in reversed(range(len(FLOORS) - 1)):
-            found = jax.tree.map(lambda a, b, i=i: jnp.where(fine[i], a, b), tries[i], found)
+            found = tree_where(fine[i], tries[i], found)
         return found
 
     before, convex = jax.lax.cond(jnp.any(fine), first_that_suffices, clipped, whole)

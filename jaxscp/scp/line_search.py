@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxscp.core import batching
+from jaxscp.core.trees import tree_where
 from jaxscp.core.types import Count, Flag, Scalar
 from jaxscp.problem.scaled_time import ScaledTimeProblem
 from jaxscp.scp.active_set import active_set, slacks
@@ -70,7 +71,7 @@ class LineSearch(eqx.Module):
     @property
     def trial(self) -> Trial:
         """The chosen trial."""
-        return jax.tree.map(lambda a, b: jnp.where(self.sufficient, a, b), self.last, self.whole)
+        return tree_where(self.sufficient, self.last, self.whole)
 
 
 def line_search(
@@ -103,7 +104,7 @@ def line_search(
 
 def _try_next(search: Search, s: LineSearch) -> LineSearch:
     new = _attempt(search, jnp.asarray(LENGTHS, search.z.dtype)[s.tried])
-    whole = jax.tree.map(lambda a, b: jnp.where(s.tried == 0, a, b), new, s.whole)
+    whole = tree_where(s.tried == 0, new, s.whole)
     return LineSearch(whole, new, s.tried + 1, new.merit <= search.sufficient)
 
 

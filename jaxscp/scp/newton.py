@@ -20,6 +20,7 @@ from jaxscp.backends.serving import Backends
 from jaxscp.conic.program import ConicMultipliers, served_by
 from jaxscp.core import batching
 from jaxscp.core.status import Status
+from jaxscp.core.trees import tree_where
 from jaxscp.core.types import Count, Flag, Nodes, Scalar
 from jaxscp.nlp.central_path import Point
 from jaxscp.nlp.sensitivity import implicit_solution
@@ -57,7 +58,7 @@ RESTORATION_PENALTIES = (1e7, 1e7, 1e7, 1e4)
 
 
 class _Optimum(eqx.Module):
-    """What the interior point found."""
+    """The optimum that the interior point found, or else the point where it began."""
 
     z: Float[Array, "nodes variables"]
     multipliers: Multipliers
@@ -237,7 +238,7 @@ class NewtonSCP(NewtonSettings):
             is_optimum, steps = interior.is_optimum(end), found.steps + end.steps
             new = _Optimum(end.z, end.y, least, most, is_optimum, steps)
             found = eqx.tree_at(lambda f: f.steps, found, steps)
-            return jax.tree.map(lambda a, b: jnp.where(is_optimum, a, b), new, found)
+            return tree_where(is_optimum, new, found)
 
         def attempt(found: _Optimum, bounds):
             fixed = (problem, state.z, state.multipliers, *bounds)

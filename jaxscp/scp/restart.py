@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 
 from jaxscp.core import batching
 from jaxscp.core.status import Status
+from jaxscp.core.trees import tree_where
 from jaxscp.core.types import Count, Flag, Nodes
 from jaxscp.problem.scaled_time import ScaledTimeProblem
 from jaxscp.scp import mesh
@@ -99,20 +100,15 @@ def restarted(
         planned = jax.tree.map(lambda v: v[jnp.minimum(used, v.shape[0] - 1)], starts)
         another = left & ~_same(problem, planned, first) & (last.coarse | last.failed)
         needed = none_yet | (enabled & (refine | another))
-        start = _either(refine, _refined(last), planned)
+        start = tree_where(refine, _refined(last), planned)
         found = batching.where_needed(needed, lambda fixed, _: run(*fixed), (arrays, start, enabled), last)
         taken = none_yet | (found.state.status == Status.converged)
         last = dataclasses.replace(last, improves=last.improves & ~(needed & refine))
-        return (_either(taken, found, last), used + (~refine).astype(int)), None
+        return (tree_where(taken, found, last), used + (~refine).astype(int)), None
 
     begun = End(nothing, first.most, first.most, jnp.zeros((), bool)), jnp.zeros((), int)
     (end, _), _ = jax.lax.scan(attempt, begun, length=ATTEMPTS)
     return end.state, end.most
-
-
-def _either(first: Flag, a: Any, b: Any) -> Any:
-    """The first of two pytrees, or the second."""
-    return jax.tree.map(lambda v, w: jnp.where(first, v, w), a, b)
 
 
 def slower(

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
+from jaxscp.core.trees import tree_where
 from jaxscp.core.types import Scalar, Vector3
 from jaxscp.dynamics.rotations import rotation_matrix
 from jaxscp.simulation import bodies
@@ -194,13 +195,9 @@ def _sense(sensors: Sensors, loop: Loop, key: PRNGKeyArray) -> tuple[Measured, O
     )
     due = loop.count % _SIGHT == 0
     deck = sensors.deck_filter.see(deck, relative, turn, seen & due)
-    sights = _where(due, after, loop.sensors.deck)
+    sights = tree_where(due, after, loop.sensors.deck)
     after, message = sensors.carrier.measure(sent, carrier, loop.sensors.carrier)
     due = loop.count % _MESSAGE == 0
-    deck = _where(due, sensors.deck_filter.hear(deck, message), deck)
-    messages = _where(due, after, loop.sensors.carrier)
+    deck = tree_where(due, sensors.deck_filter.hear(deck, message), deck)
+    messages = tree_where(due, after, loop.sensors.carrier)
     return Measured(loop.sensors.bias, odometry, sights, messages), Observation(estimate, deck)
-
-
-def _where(condition: Array, new: Any, old: Any) -> Any:
-    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), new, old)

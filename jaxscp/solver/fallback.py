@@ -3,11 +3,11 @@
 from collections.abc import Callable
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 
 from jaxscp.backends.xla import is_traced
 from jaxscp.core.status import Status
+from jaxscp.core.trees import tree_where
 from jaxscp.core.types import Flag
 from jaxscp.solver.solution import Solution
 
@@ -25,4 +25,4 @@ def better(found: Solution, alternative: Callable[[Flag], Solution]) -> Solution
     other = alternative(needed)
     other = eqx.tree_at(lambda s: s.fell_back, other, jnp.ones((), bool))
     taken = needed & (other.status == Status.converged)
-    return jax.tree.map(lambda a, b: jnp.where(taken, a, b), other, found)
+    return tree_where(taken, other, found)

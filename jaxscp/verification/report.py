@@ -53,7 +53,7 @@ def _worst(values: Any, sign: float = 1.0) -> tuple[str, str]:
 
 
 def _text(value: Any) -> str:
-    """Three digits; what is left of rounding is zero."""
+    """Three digits; a value of the size of rounding is zero."""
     return "0" if abs(value) < _ROUNDING else f"{value:.3g}"
 
 
