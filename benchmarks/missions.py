@@ -144,6 +144,11 @@ def quantile(values: list[float], share: float) -> float | None:
     return float(np.quantile(values, share)) if values else None
 
 
+def _pinned(cores) -> None:
+    """One core for this process: threads that hand each other short operations are slower."""
+    os.sched_setaffinity(0, {cores.get()})
+
+
 def fly_all(
     tasks: list[tuple[str, int]], workers: int, file: str | None, wind: float | None
 ) -> list[dict[str, Any]]:
@@ -159,7 +164,12 @@ def fly_all(
     done = {(row["field"], row["seed"]) for row in rows}
     rows = [row for row in rows if (row["field"], row["seed"]) in set(tasks)]
     tasks = [task for task in tasks if task not in done]
-    with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
+    context = multiprocessing.get_context("spawn")
+    cores = context.Queue()
+    available = sorted(os.sched_getaffinity(0))
+    for number in range(workers):
+        cores.put(available[number % len(available)])
+    with ProcessPoolExecutor(workers, context, _pinned, (cores,)) as pool:
         for future in as_completed([pool.submit(flight, *task, wind) for task in tasks]):
             rows.append(future.result())
             if file is not None:

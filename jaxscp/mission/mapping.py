@@ -1,12 +1,11 @@
 """A map of recent scans, in the frame of the vehicle's odometry. It lives on the host."""
 
-import jax.numpy as jnp
 import numpy as np
 import scipy
 from jaxtyping import Float
 
 from jaxscp.corridor import PointCloud
-from jaxscp.dynamics.rotations import rotation_matrix
+from jaxscp.mission.attitudes import rotations
 
 Points = Float[np.ndarray, "_ 3"]
 
@@ -71,14 +70,13 @@ class RecentMap:
         if not self.denoise or not len(points):
             return points
         distance = np.linalg.norm(points - place, axis=1)
-        tree = scipy.spatial.KDTree(points)
-        around = tree.query_ball_point(points, _SPACING[0] + _SPACING[1] * distance, return_length=True)
-        return points[around >= np.where(distance < _NEAR, _MANY, _FEW)]
+        away = scipy.spatial.KDTree(points).query(points, k=[_FEW, _MANY])[0]
+        away = np.where(distance < _NEAR, away[:, 1], away[:, 0])  # of the last neighbour that is needed
+        return points[away <= _SPACING[0] + _SPACING[1] * distance]
 
 
 def in_odometry_frame(
     points: Points, seen: Float[np.ndarray, "points"], state: Float[np.ndarray, "13"]
 ) -> Points:
     """Points of a scan from body axes into the frame of the odometry; those without return are left out."""
-    turn = np.asarray(rotation_matrix(jnp.asarray(state[6:10])))
-    return state[:3] + points[seen > 0.5] @ turn.T
+    return state[:3] + rotations(state[6:10]).apply(points[seen > 0.5])

@@ -2,12 +2,10 @@
 
 import dataclasses
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxscp.dynamics.rotations import rotation_matrix
+from jaxscp.mission.attitudes import rotations
 from jaxscp.mission.craft import Record
 from jaxscp.mission.phases import Phase
 from jaxscp.simulation.bodies import DECK_HEIGHT, FEET, FOOT
@@ -92,7 +90,7 @@ def assess(record: Record, attempts: int, goal: Float[np.ndarray, "3"]) -> Outco
 
 def _lowest_foot(vehicle: np.ndarray, carrier: np.ndarray) -> np.ndarray:
     """Height of the lowest point of the four feet over the deck, m."""
-    turn, own = _matrices(carrier[:, 6:10]), _matrices(vehicle[:, 6:10])
+    turn, own = (rotations(body[:, 6:10]).as_matrix() for body in (carrier, vehicle))
     centre = (vehicle - carrier)[:, None, :3] + np.einsum("tij,fj->tfi", own, FEET)
     up = np.einsum("tfi,ti->tf", centre, turn[:, :, 2])
     return up.min(axis=1) - FOOT - DECK_HEIGHT
@@ -110,12 +108,8 @@ def _carrier_hit(relative: Float[np.ndarray, "ticks 3"], height: np.ndarray) -> 
 
 def _relative(vehicle: np.ndarray, carrier: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Position and velocity of the vehicle in the carrier's axes, m and m/s, and the angle of their z axes, degrees."""
-    turn = _matrices(carrier[:, 6:10])
+    turn, own = (rotations(body[:, 6:10]).as_matrix() for body in (carrier, vehicle))
     position = np.einsum("tji,tj->ti", turn, (vehicle - carrier)[:, :3])
     velocity = np.einsum("tji,tj->ti", turn, (vehicle - carrier)[:, 3:6])
-    cosine = np.sum(turn[:, :, 2] * _matrices(vehicle[:, 6:10])[:, :, 2], axis=1)
+    cosine = np.sum(turn[:, :, 2] * own[:, :, 2], axis=1)
     return position, velocity, np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
-
-
-def _matrices(q: np.ndarray) -> Float[np.ndarray, "ticks 3 3"]:
-    return np.asarray(jax.vmap(rotation_matrix)(jnp.asarray(q)))

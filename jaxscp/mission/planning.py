@@ -4,13 +4,14 @@ import dataclasses
 import warnings
 from typing import Any
 
+import equinox as eqx
 import jax
 import numpy as np
 import scipy
 from jaxtyping import Float
 
 from jaxscp.core.status import status_names
-from jaxscp.corridor import CorridorResult, PointCloud, build_corridor
+from jaxscp.corridor import CorridorResult, PointCloud, build_corridor, pad
 from jaxscp.dynamics.airframes import Airframe
 from jaxscp.landing import scenarios
 from jaxscp.landing.mission import Weights, at_rest, flight_limits
@@ -83,26 +84,20 @@ class MissionPlanner:
 
     def _corridor(self, cloud: PointCloud, start: Place, goal: Place, radius: float) -> CorridorResult | str:
         """A padded corridor, or the reason why there is none."""
-        reason = ""
-        for count in POLYTOPES:
-            try:
-                with warnings.catch_warnings():
-                    warnings.simplefilter("ignore")
-                    found = build_corridor(
-                        cloud,
-                        start,
-                        goal,
-                        radius,
-                        lower=np.minimum(self.field.lower, np.minimum(start, goal) - 0.1),
-                        upper=np.maximum(self.field.upper, np.maximum(start, goal) + 0.1),
-                        polytopes=count,
-                        faces=FACES,
-                    )
-            except ValueError as error:
-                reason = str(error)
-                continue
-            return found if found.found else found.message
-        return reason
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                found = build_corridor(
+                    cloud,
+                    start,
+                    goal,
+                    radius,
+                    lower=np.minimum(self.field.lower, np.minimum(start, goal) - 0.1),
+                    upper=np.maximum(self.field.upper, np.maximum(start, goal) + 0.1),
+                )
+            return _padded(found, goal) if found.found else found.message
+        except ValueError as error:
+            return str(error)
 
     def scenario(self, found: CorridorResult, start: Place, goal: Place) -> LandingScenario:
         """The scenario of a corridor, with the limits of the field."""
@@ -115,6 +110,17 @@ class MissionPlanner:
             limits=flight_limits(speed=self.field.speed, tilt=_TILT),
             weights=Weights(control=1.0, time=2.0),
         )
+
+
+def _padded(found: CorridorResult, goal: Place) -> CorridorResult:
+    """The same with its corridor at the least size that it fits in.
+
+    Raises:
+        ValueError: it has more polytopes or faces than any of these sizes.
+    """
+    assert found.corridor is not None  # ``found`` says so
+    count = next((size for size in POLYTOPES if found.corridor.count <= size), POLYTOPES[-1])
+    return eqx.tree_at(lambda f: f.corridor, found, pad(found.corridor, goal, count, FACES))
 
 
 def half_way(route: Any) -> Place:

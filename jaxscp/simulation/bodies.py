@@ -23,7 +23,8 @@ VEHICLE, CARRIER = 1, 2
 def mjcf(vehicle: Airframe, carrier: Airframe, scene: Scene | None = None) -> str:
     """MJCF text. The scene's obstacles are shown; they touch nothing (``Scene.distance`` finds collisions).
 
-    MuJoCo's fluid forces are off: ``Aerodynamics`` gives ours. Inertia matrices must be diagonal.
+    MuJoCo's fluid forces are off: ``Aerodynamics`` gives ours. No joint is damped, so that steps need no implicit
+    damping. Inertia matrices must be diagonal.
 
     Example:
         >>> from jaxscp import airframes
@@ -35,7 +36,9 @@ def mjcf(vehicle: Airframe, carrier: Airframe, scene: Scene | None = None) -> st
         f'<pair geom1="foot{i}" geom2="deck" condim="4" friction="1 1 0.01 0.001 0.001"/>' for i in feet
     )
     return f"""<mujoco model="flight">
-  <option timestep="{TIME_STEP}" gravity="0 0 -9.81" density="0" viscosity="0" iterations="8" ls_iterations="8"/>
+  <option timestep="{TIME_STEP}" gravity="0 0 -9.81" density="0" viscosity="0" iterations="8" ls_iterations="8">
+    <flag eulerdamp="disable"/>
+  </option>
   <visual><global offwidth="640" offheight="480"/><quality shadowsize="0"/></visual>
   <default><geom contype="0" conaffinity="0" mass="0"/></default>
   <worldbody>

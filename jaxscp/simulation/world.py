@@ -25,10 +25,23 @@ from jaxscp.simulation.vehicles import FEET_DEPTH, simulated_mav
 State = Float[Array, "13"]
 
 
+class Motion(eqx.Module):
+    """Vehicle and carrier in MuJoCo's coordinates. The rest of MuJoCo's data follows from them in each step."""
+
+    qpos: Float[Array, "14"]
+    """Position m and attitude of each."""
+    qvel: Float[Array, "12"]
+    """Velocity m/s and body rate rad/s of each."""
+    qacc: Float[Array, "12"]
+    """Last accelerations: where the search for contact forces begins."""
+
+
 class WorldState(eqx.Module):
     """All that changes."""
 
-    data: mjx.Data
+    motion: Motion
+    wrenches: Float[Array, "2 6"]
+    """Force N and torque N m on vehicle and carrier in the last step, world axes."""
     motors: MotorState
     gust: GustState
     wind: Vector3
@@ -90,9 +103,9 @@ class World(eqx.Module):
         place = deck.position.at[2].add(FEET_DEPTH + height)
         qpos = jnp.concatenate([place, level, start, level])
         qvel = jnp.concatenate([velocity, jnp.zeros(3), velocity, jnp.zeros(3)])
-        data = mjx.make_data(self.model).replace(qpos=qpos, qvel=qvel)
+        motion = Motion(qpos, qvel, jnp.zeros_like(qvel))
         gust, zero = self.gusts.init(key), jnp.zeros(3)
-        return WorldState(data, self.motors.init(), gust, self.gusts.wind, zero, deck, jnp.zeros(()))
+        return WorldState(motion, jnp.zeros((2, 6)), self.motors.init(), gust, self.gusts.wind, zero, deck, jnp.zeros(()))
 
     def step(self, state: WorldState, command: Float[Array, "rotors"], key: PRNGKeyArray) -> WorldState:
         """The state after one time step of constant commands in N."""
@@ -110,21 +123,33 @@ class World(eqx.Module):
             _row(self.airframe, vehicle, motors.thrusts) + _in_world(vehicle, force, torque),
             _row(self.carrier.airframe, carrier_state(state), own),
         )
-        applied = state.data.xfrc_applied.at[jnp.array([bodies.VEHICLE, bodies.CARRIER])].set(jnp.stack(rows))
+        wrenches = jnp.stack(rows)
+        motion = self._moved(state.motion, wrenches)
+        return WorldState(motion, wrenches, motors, gust, wind, integral, deck, state.time + dt)
+
+    def _moved(self, motion: Motion, wrenches: Float[Array, "2 6"]) -> Motion:
+        """The bodies after one time step under forces and torques in world axes, N and N m."""
+        data = mjx.make_data(self.model)
+        data = data.replace(
+            qpos=motion.qpos,
+            qvel=motion.qvel,
+            qacc_warmstart=motion.qacc,
+            xfrc_applied=data.xfrc_applied.at[jnp.array([bodies.VEHICLE, bodies.CARRIER])].set(wrenches),
+        )
         with jax.numpy_dtype_promotion("standard"):  # MJX multiplies floats by flags
-            data = mjx.step(self.model, state.data.replace(xfrc_applied=applied))
-        return WorldState(data, motors, gust, wind, integral, deck, state.time + dt)
+            data = mjx.step(self.model, data)
+        return Motion(data.qpos, data.qvel, data.qacc_warmstart)
 
 
 def vehicle_state(state: WorldState) -> State:
     """Position, velocity, attitude, body rate of the vehicle."""
-    qpos, qvel = state.data.qpos, state.data.qvel
+    qpos, qvel = state.motion.qpos, state.motion.qvel
     return jnp.concatenate([qpos[:3], qvel[:3], qpos[3:7], qvel[3:6]])
 
 
 def carrier_state(state: WorldState) -> State:
     """The same of the carrier."""
-    qpos, qvel = state.data.qpos, state.data.qvel
+    qpos, qvel = state.motion.qpos, state.motion.qvel
     return jnp.concatenate([qpos[7:10], qvel[6:9], qpos[10:14], qvel[9:12]])
 
 

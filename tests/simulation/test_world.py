@@ -30,8 +30,7 @@ def run():
     def flight(world, state, commands):
         def step(state, inputs):
             new = world.step(state, *inputs)
-            data = new.data
-            return new, (vehicle_state(new), carrier_state(new), data.xfrc_applied, data.qpos)
+            return new, (vehicle_state(new), carrier_state(new), new.wrenches, new.motion.qpos)
 
         return jax.lax.scan(step, state, (commands, jax.random.split(jax.random.key(1), STEPS)))
 
@@ -47,8 +46,8 @@ def test_free_flight_keeps_energy_and_momentum(run):
     """No air, no thrust: a parabola; angular momentum in the world and energy of rotation stay."""
     world = eqx.tree_at(lambda w: (w.air, w.motors.thrust_min), WORLD, (STILL_AIR, jnp.zeros(4)))
     state = world.init(jax.random.key(0), height=40.0)
-    qvel = state.data.qvel.at[:6].set(jnp.array([3.0, 1.0, 4.0, 1.0, 2.0, 0.5]))
-    state = eqx.tree_at(lambda s: s.data, state, state.data.replace(qvel=qvel))
+    qvel = state.motion.qvel.at[:6].set(jnp.array([3.0, 1.0, 4.0, 1.0, 2.0, 0.5]))
+    state = eqx.tree_at(lambda s: s.motion.qvel, state, qvel)
     _, (vehicle, *_) = run(world, state, commands(0.0))
     time = bodies.TIME_STEP * np.arange(1, STEPS + 1)
     np.testing.assert_allclose(vehicle[:, 5], 4.0 - 9.81 * time, atol=1e-9)
@@ -71,7 +70,7 @@ def test_hover_thrust_holds_the_vehicle(run):
     state = eqx.tree_at(lambda s: (s.motors.thrusts, s.motors.waiting), state, ready)
     _, (vehicle, *_) = run(world, state, commands(hover))
     # the air's root at zero speed leaves an inflow of a micrometre a second
-    np.testing.assert_allclose(vehicle[-1, :3], state.data.qpos[:3], atol=1e-6)
+    np.testing.assert_allclose(vehicle[-1, :3], state.motion.qpos[:3], atol=1e-6)
 
 
 def test_a_drop_settles_on_the_deck(run):
@@ -97,10 +96,10 @@ def test_c_and_mjx_fly_the_same(run):
     _, (_, _, applied, expected) = run(WORLD, state, commands(1.0).at[:, 0].add(0.01))
     model = bodies.model(simulated_mav(), paper_carrier())
     data = mujoco.MjData(model)
-    data.qpos[:], data.qvel[:] = state.data.qpos, state.data.qvel
+    data.qpos[:], data.qvel[:] = state.motion.qpos, state.motion.qvel
     found = np.empty_like(expected)
     for i, wrench in enumerate(applied):
-        data.xfrc_applied[:] = wrench
+        data.xfrc_applied[[bodies.VEHICLE, bodies.CARRIER]] = wrench
         mujoco.mj_step(model, data)
         found[i] = data.qpos
     assert np.abs(found - expected).max() < AGREEMENT
