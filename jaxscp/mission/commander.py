@@ -12,7 +12,7 @@ from jaxscp.mission.fields import Field
 from jaxscp.mission.mapping import Points, RecentMap
 from jaxscp.mission.phases import Phase
 from jaxscp.mission.pilot import SAMPLES
-from jaxscp.mission.planning import Planned, clearance
+from jaxscp.mission.planning import Planned, clearance, retreat
 from jaxscp.simulation.vehicles import FEET_DEPTH
 
 MEMORY = 12.0  # m of the way after which a scan is forgotten
@@ -140,10 +140,17 @@ class Commander:
             self._start(planned)
             return
         self.failures += 1
+        self._make_room(here)
         self.map.forget()
         if self.failures >= _FAILURES and self.task == Task.out:
             self.aborts.append("no route to the goal")
             self.failures, self.task = 0, Task.back
+
+    def _make_room(self, here: Float[np.ndarray, "3"]) -> None:
+        """Draw back from obstacles that are close: from there, a plan may start."""
+        place = retreat(self.map.latest(), here)
+        if place is not None:
+            self.craft.order(self.craft.pilot.with_stop(self.craft.memory, place, self.craft.time))
 
     def _start(self, planned: Planned) -> None:
         pilot = self.craft.pilot

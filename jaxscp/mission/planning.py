@@ -25,6 +25,8 @@ _TILT = 0.5  # rad
 _LEAST = 0.6  # N a rotor: attitude control keeps some thrust
 _VIRTUAL_SPACING = 0.15
 _HALVINGS = 2  # of the way, where the whole one has no plan
+_ROOM = 0.8  # m from obstacles, at which a plan can start
+_RETREAT = 0.3  # m
 _CARRIER = 0.6  # half width of the carrier as an obstacle, m
 Place = Float[np.ndarray, "3"]
 
@@ -143,3 +145,23 @@ def clearance(points: Float[np.ndarray, "points 3"], way: Float[np.ndarray, "sam
     if not len(points) or not len(way):
         return np.inf
     return float(scipy.spatial.KDTree(points).query(way)[0].min())
+
+
+def retreat(points: Float[np.ndarray, "points 3"], here: Place) -> Place | None:
+    """A place a little farther from the points that are close, or None where none is close or none is farther.
+
+    Example:
+        >>> retreat(np.array([[0.5, 0.0, 0.0]]), np.zeros(3)).round(3).tolist()
+        [-0.3, 0.0, 0.0]
+        >>> retreat(np.array([[2.0, 0.0, 0.0]]), np.zeros(3)) is None
+        True
+    """
+    away = here - points
+    distance = np.linalg.norm(away, axis=1)
+    close = distance < _ROOM
+    if not close.any():
+        return None
+    push = np.sum(away[close] / distance[close, None] ** 3, axis=0)  # the nearest points count most
+    place = here + _RETREAT * push / max(float(np.linalg.norm(push)), 1e-9)
+    farther = clearance(points, place[None]) > distance.min()
+    return place if farther else None

@@ -60,7 +60,11 @@ class Rules(eqx.Module):
     search_rate: Scalar = eqx.field(converter=as_floats, default=0.12)
     """Growth of the spiral in which an approach looks for a deck out of sight, m/s."""
     search_turn: Scalar = eqx.field(converter=as_floats, default=1.2)
-    """Its turning rate, rad/s."""
+    """Its turning rate at first, rad/s."""
+    search_descent: Scalar = eqx.field(converter=as_floats, default=0.06)
+    """Its descent, m/s: by drift, the deck may lie deeper than the deck sensor's range."""
+    search_depth: Scalar = eqx.field(converter=as_floats, default=0.9)
+    """m of descent at most; less than ``approach_height``."""
     search_time: Scalar = eqx.field(converter=as_floats, default=30.0)
     """s after which an approach that found no deck is given up."""
     deck_lost: Scalar = eqx.field(converter=as_floats, default=0.4)

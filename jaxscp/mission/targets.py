@@ -14,6 +14,7 @@ from jaxscp.simulation.vehicles import FEET_DEPTH
 
 STEP, COUNT = 0.02, 56  # s and samples: a horizon of one second and its delay
 _PASSED = 0.1  # m under the deck at which the target of a landing stops
+_SEARCH_SPEED = 0.8  # of the speed of an approach
 _GAIN = 8.0  # 1/s, of the target's last part of the way: it smooths the noise of the deck's estimate
 
 
@@ -59,10 +60,17 @@ def advance(
 
 
 def _search(rules: Rules, phase, observation: Observation, in_phase: Scalar) -> Vector3:
-    """Offset in m on a spiral, while an approach does not see the deck."""
+    """Offset in m on a spiral that sinks, while an approach does not see the deck."""
     blind = _is(phase, Phase.approach) & (observation.deck.unseen > rules.deck_lost)
-    angle, radius = rules.search_turn * in_phase, rules.search_rate * in_phase
-    spiral = radius * jnp.stack([jnp.cos(angle), jnp.sin(angle), jnp.zeros_like(angle)])
+    radius = rules.search_rate * in_phase
+    # from this time on, it turns slower: its speed stays the same while its radius grows
+    full_speed = _SEARCH_SPEED * rules.approach_speed / (rules.search_rate * rules.search_turn)
+    turning = jnp.minimum(in_phase, full_speed) + full_speed * jnp.log(
+        jnp.maximum(in_phase / full_speed, 1.0)
+    )
+    angle = rules.search_turn * turning
+    sunk = jnp.minimum(rules.search_descent * in_phase, rules.search_depth)
+    spiral = jnp.stack([radius * jnp.cos(angle), radius * jnp.sin(angle), -sunk])
     return jnp.where(blind, spiral, 0.0)
 
 

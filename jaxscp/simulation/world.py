@@ -105,7 +105,9 @@ class World(eqx.Module):
         qvel = jnp.concatenate([velocity, jnp.zeros(3), velocity, jnp.zeros(3)])
         motion = Motion(qpos, qvel, jnp.zeros_like(qvel))
         gust, zero = self.gusts.init(key), jnp.zeros(3)
-        return WorldState(motion, jnp.zeros((2, 6)), self.motors.init(), gust, self.gusts.wind, zero, deck, jnp.zeros(()))
+        return WorldState(
+            motion, jnp.zeros((2, 6)), self.motors.init(), gust, self.gusts.wind, zero, deck, jnp.zeros(())
+        )
 
     def step(self, state: WorldState, command: Float[Array, "rotors"], key: PRNGKeyArray) -> WorldState:
         """The state after one time step of constant commands in N."""

@@ -8,7 +8,7 @@ import pytest
 import jaxscp
 from jaxscp.mission import INDOOR, Phase
 from jaxscp.mission.commander import Commander, Task
-from jaxscp.mission.planning import Planned, clearance
+from jaxscp.mission.planning import Planned, clearance, retreat
 
 GOAL = np.array([5.0, 17.0, 2.0])
 HOME = np.array([1.5, 2.0, 2.16])
@@ -117,6 +117,21 @@ def test_without_a_route_the_vehicle_goes_home():
         one.look()
     assert one.task == Task.landing  # it never left
     assert one.aborts == ["no route to the goal"]
+
+
+@pytest.mark.parametrize("close", [True, False])
+def test_without_a_plan_the_vehicle_draws_back_from_what_is_close(close):
+    beside = HOME + UP + np.array([[0.6 if close else 1.5, 0.0, 0.0]])
+    one = commander(FakePlanner(fails=1), scans=[beside])
+    one.look()
+    assert one.craft.orders == (["stop"] if close else [])
+    one.look()
+    assert one.craft.orders[-1] == "plan"
+
+
+def test_between_two_walls_there_is_no_place_to_draw_back_to():
+    walls = np.array([[0.6, 0.0, 0.0], [-0.6, 0.0, 0.0]])
+    assert retreat(walls, np.zeros(3)) is None
 
 
 def test_clearance_is_the_least_distance():
