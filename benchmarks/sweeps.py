@@ -1,9 +1,10 @@
 """Sweeps: instances a second, time outside the planner, memory, resumption, scaling to two processes, and coverage.
 
-    python -m benchmarks.sweeps [--json] [--count N] [--mode default|paper] [--chunk N]
+    python -m benchmarks.sweeps [--json] [--count N] [--mode default|paper] [--chunk N] [--gpu]
 
 A landing whose mass, thrust and goal scatter (Case 1, 30 nodes). Compilation is not counted: a first, small sweep fills
-the cache of programs and warms each process that is measured.
+the cache of programs and warms each process that is measured. With ``--gpu``, each chunk is one batch; only the rate,
+the time outside the planner and memory are measured.
 """
 
 import argparse
@@ -97,9 +98,7 @@ def measure(count: int, mode: str, chunk: int, folder: Path) -> dict[str, Any]:
     jaxscp.use_cache(folder / "cache")
     planned, few = study(count, mode), study(min(count, 3 * chunk), mode)
     one, whole = rate(planned, folder / "one", mc.InProcess(mc.OneByOne(1)), chunk, 1)
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (
-        1024.0 if sys.platform == "linux" else 1024.0**2
-    )
+    memory = peak_memory_mb()
     single, _ = rate(planned, folder / "single", mc.Processes(1, mc.OneByOne(1)), chunk, 1)
     both, two = rate(planned, folder / "two", mc.Processes(PAIR, mc.OneByOne(1)), chunk, PAIR)
     small = mc.sweep(few, folder / "few", chunk=chunk)
@@ -125,6 +124,30 @@ def measure(count: int, mode: str, chunk: int, folder: Path) -> dict[str, Any]:
     }
 
 
+def measure_batches(count: int, mode: str, chunk: int, folder: Path) -> dict[str, Any]:
+    """Figures of a sweep whose chunks are batches on the first device."""
+    jaxscp.use_cache(folder / "cache")
+    found, whole = rate(study(count, mode), folder / "sweep", mc.InProcess(mc.Together(chunk)), chunk, 1)
+    device = jax.devices()[0]
+    return {
+        "count": count,
+        "mode": mode,
+        "chunk": chunk,
+        "device": device.device_kind,
+        "instances_per_s": found,
+        "overhead_share": overhead(whole),
+        "peak_memory_mb": peak_memory_mb(),
+        "peak_device_memory_mb": (device.memory_stats() or {}).get("peak_bytes_in_use", 0) / 1024.0**2,
+        "statuses": mc.summarise(whole, resamples=0).statuses,
+    }
+
+
+def peak_memory_mb() -> float:
+    """Largest resident memory of this process, MB."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (1024.0 if sys.platform == "linux" else 1024.0**2)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -133,9 +156,11 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=400, help="instances of a sweep")
     parser.add_argument("--mode", choices=list(MODES), default="default")
     parser.add_argument("--chunk", type=int, default=50)
+    parser.add_argument("--gpu", action="store_true", help="each chunk as one batch on the first device")
     asked = parser.parse_args()
+    measured = measure_batches if asked.gpu else measure
     with tempfile.TemporaryDirectory() as folder:
-        found = measure(asked.count, asked.mode, asked.chunk, Path(folder))
+        found = measured(asked.count, asked.mode, asked.chunk, Path(folder))
     if asked.json:
         print(json.dumps(found))
     else:
