@@ -230,10 +230,10 @@ class NewtonSCP(NewtonSettings):
         # A high barrier would lead a point that is an optimum away from it, and perhaps to another one.
         last = state.history.step_norm[jnp.maximum(state.iterations - 1, 0)]
         mu = jnp.clip(BARRIER_OF_STEP * last**2, self.interior.final_mu, self.interior.initial_mu)
-        interior = eqx.tree_at(lambda i: i.initial_mu, self.interior, mu)
 
         def run(fixed, found: _Optimum) -> _Optimum:
-            problem, z, multipliers, least, most = fixed
+            mu, problem, z, multipliers, least, most = fixed
+            interior = eqx.tree_at(lambda i: i.initial_mu, self.interior, mu)
             end = interior.run(mesh.bounded(problem, most, least), z, multipliers, self.grid)
             is_optimum, steps = interior.is_optimum(end), found.steps + end.steps
             new = _Optimum(end.z, end.y, least, most, is_optimum, steps)
@@ -241,7 +241,7 @@ class NewtonSCP(NewtonSettings):
             return tree_where(is_optimum, new, found)
 
         def attempt(found: _Optimum, bounds):
-            fixed = (problem, state.z, state.multipliers, *bounds)
+            fixed = (mu, problem, state.z, state.multipliers, *bounds)
             return batching.where_needed(state.close_to_optimum & ~found.found, run, fixed, found), None
 
         dilation, ratios, none = state.z[:, -1], jnp.array(MESH_RATIOS)[:, None], jnp.zeros((), int)
