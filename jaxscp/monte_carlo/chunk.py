@@ -7,7 +7,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from jaxscp.monte_carlo.outcome import SUCCESS, Quantity
-from jaxscp.monte_carlo.sampling import Numbers
+from jaxscp.monte_carlo.sampling import Numbers, UnitPoints
 from jaxscp.monte_carlo.storage import STORED, Layout, Store
 from jaxscp.monte_carlo.study import Study
 from jaxscp.monte_carlo.trajectories import Keep
@@ -22,9 +22,16 @@ class Evaluator(Protocol):
         ...
 
     def evaluate(
-        self, study: Study, numbers: Numbers, stored: dict[str, Quantity]
+        self, study: Study, numbers: Numbers, drawn: UnitPoints, stored: dict[str, Quantity]
     ) -> tuple[dict[str, np.ndarray], float]:
-        """Results of some cases by name, (cases, ...) each, and seconds inside ``study.run``."""
+        """Results of some cases by name, (cases, ...) each, and seconds inside ``study.run``.
+
+        Args:
+            study: function and base.
+            numbers: of the cases.
+            drawn: their values of the parameters, ``study.values(numbers)``.
+            stored: what a case gives.
+        """
         ...
 
 
@@ -58,7 +65,7 @@ class ChunkJob:
         cases = self.layout.cases(index)
         numbers = np.arange(cases.start, cases.stop)
         drawn = self.study.values(numbers)
-        found, busy = self.evaluator.evaluate(self.study, numbers, self.layout.quantities)
+        found, busy = self.evaluator.evaluate(self.study, numbers, drawn, self.layout.quantities)
         success = found.get(SUCCESS, np.zeros(len(numbers), bool)).astype(bool)
         values = {name: drawn[:, i] for i, name in enumerate(self.study.names)}
         values |= self._stored(found, numbers, success)

@@ -253,7 +253,8 @@ def rerun(sweep: Sweep | Study, number: int, evaluator: Evaluator | None = None)
     if isinstance(sweep, Study):
         raise InvalidStudy("rerun: an evaluator needs the sweep, not the study alone.")
     stored = sweep.layout.quantities
-    found, _ = evaluator.evaluate(study, np.array([number]), stored)
+    numbers = np.array([number])
+    found, _ = evaluator.evaluate(study, numbers, study.values(numbers), stored)
     first = {name: array[0] for name, array in found.items()}
     path = {name.partition(".")[2]: array for name, array in first.items() if stored[name].trajectory}
     return Outcome(

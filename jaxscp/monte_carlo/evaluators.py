@@ -22,7 +22,7 @@ from jaxscp.monte_carlo.outcome import (
     traced_arrays,
     units_of,
 )
-from jaxscp.monte_carlo.sampling import Numbers
+from jaxscp.monte_carlo.sampling import Numbers, UnitPoints
 from jaxscp.monte_carlo.solves import Solves
 from jaxscp.monte_carlo.study import ById, Study
 from jaxscp.planner.planner import Planner
@@ -50,7 +50,7 @@ class OneByOne:
         return quantities(outcome_of(value), units_of(value) | dict(study.units))
 
     def evaluate(
-        self, study: Study, numbers: Numbers, stored: dict[str, Quantity]
+        self, study: Study, numbers: Numbers, drawn: UnitPoints, stored: dict[str, Quantity]
     ) -> tuple[dict[str, np.ndarray], float]:
         """See ``Evaluator``.
 
@@ -61,7 +61,7 @@ class OneByOne:
         def one(case: tuple[Any, Any]) -> tuple[dict[str, np.ndarray], float]:
             return _row(study, *case, stored)
 
-        cases = zip(numbers, study.values(numbers), strict=True)
+        cases = zip(numbers, drawn, strict=True)
         rows, seconds = zip(*in_order(one, cases, self._threads(study)), strict=True)
         return {name: np.stack([row[name] for row in rows]) for name in rows[0]}, sum(seconds)
 
@@ -130,14 +130,13 @@ class Together:
         return quantities(jax.eval_shape(one, row), units | dict(study.units))
 
     def evaluate(
-        self, study: Study, numbers: Numbers, stored: dict[str, Quantity]
+        self, study: Study, numbers: Numbers, drawn: UnitPoints, stored: dict[str, Quantity]
     ) -> tuple[dict[str, np.ndarray], float]:
         """See ``Evaluator``."""
-        values = study.values(numbers)
         began, parts = time.perf_counter(), []
         program = _batched(self, ById(study))
-        for start in range(0, len(values), self.size):
-            rows = values[start : start + self.size]
+        for start in range(0, len(drawn), self.size):
+            rows = drawn[start : start + self.size]
             padded = np.concatenate([rows, np.repeat(rows[-1:], self.size - len(rows), axis=0)])
             found = jax.device_get(program(padded))
             parts.append({name: array[: len(rows)] for name, array in found.items()})
