@@ -4,6 +4,7 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxscp.control import NMPC, Actuators, NMPCState, Reference
@@ -195,7 +196,9 @@ class Pilot(eqx.Module):
         new = _with_phase(state, Phase.approach, time)
         return eqx.tree_at(lambda s: s.attempts, new, new.attempts + 1)
 
-    def with_stop(self, state: PilotState, place: Vector3, time: Scalar | float) -> PilotState:
+    def with_stop(
+        self, state: PilotState, place: Float[Array | np.ndarray, "3"], time: Scalar | float
+    ) -> PilotState:
         """The memory after the order to stop at a place, m."""
         new = _with_phase(state, Phase.hover, time)
         return eqx.tree_at(lambda s: s.target, new, Target(jnp.asarray(place), jnp.zeros(3)))

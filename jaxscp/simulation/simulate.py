@@ -58,12 +58,12 @@ class Sensors(eqx.Module):
 class Flight(eqx.Module):
     """Histories at 200 Hz: true states, and the estimates that the controller saw."""
 
-    vehicle: Float[Array, "ticks 13"]
-    carrier: Float[Array, "ticks 13"]
-    estimate: Float[Array, "ticks 13"]
-    deck: Float[Array, "ticks 6"]
+    vehicle: Float[Array, "*ticks 13"]
+    carrier: Float[Array, "*ticks 13"]
+    estimate: Float[Array, "*ticks 13"]
+    deck: Float[Array, "*ticks 6"]
     """Estimated position m and velocity m/s of the deck's surface, in the frame of ``estimate``."""
-    thrusts: Float[Array, "ticks rotors"]
+    thrusts: Float[Array, "*ticks rotors"]
     """True thrusts, N."""
 
 

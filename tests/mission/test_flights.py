@@ -77,6 +77,16 @@ def test_a_mission_lands(seed):
     assert mission.craft.record.phases[-1] == Phase.landed
 
 
+@pytest.mark.nightly
+@pytest.mark.parametrize(
+    "seed", [303, 1067], ids=["deck out of the sensor's reach", "stopped beside a trunk"]
+)
+def test_a_mission_outdoors_that_once_failed_lands(seed):
+    mission = run_mission("outdoor", seed)
+    assert mission.accomplished
+    assert mission.outcome.attempts <= 2
+
+
 @pytest.mark.slow
 def test_a_pilot_is_a_pytree_of_arrays():
     pilot = nominal_pilot()
