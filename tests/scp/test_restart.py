@@ -118,6 +118,7 @@ def test_a_method_from_an_accurate_guess_starts_once():
 
 
 @pytest.mark.nightly
+@pytest.mark.filterwarnings("ignore:corridor:UserWarning")  # the boxes of a chain bound the vehicle's centre
 @pytest.mark.parametrize("seed", [93, 107, 110, 274, 442, 717, 731])
 def test_chains_that_need_a_finer_mesh(seed):
     """From the first guess alone, one interval of each is so long that the certificate refutes the plan."""
@@ -131,6 +132,7 @@ def test_chains_that_need_a_finer_mesh(seed):
 
 
 @pytest.mark.nightly
+@pytest.mark.filterwarnings("ignore:corridor:UserWarning")
 @pytest.mark.parametrize("seed", [27, 54])
 def test_chains_of_turns_that_need_a_slower_guess(seed):
     """Each has a motion that can be flown; from its first guess, 30 nodes end in ``dynamics_unmet``."""
