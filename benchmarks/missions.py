@@ -146,7 +146,9 @@ def quantile(values: list[float], share: float) -> float | None:
 
 def _pinned(cores) -> None:
     """One core for this process: threads that hand each other short operations are slower."""
-    os.sched_setaffinity(0, {cores.get()})
+    core = cores.get()
+    if hasattr(os, "sched_setaffinity"):  # Linux
+        os.sched_setaffinity(0, {core})
 
 
 def fly_all(
@@ -166,7 +168,7 @@ def fly_all(
     tasks = [task for task in tasks if task not in done]
     context = multiprocessing.get_context("spawn")
     cores = context.Queue()
-    available = sorted(os.sched_getaffinity(0))
+    available = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else [0]
     for number in range(workers):
         cores.put(available[number % len(available)])
     with ProcessPoolExecutor(workers, context, _pinned, (cores,)) as pool:
