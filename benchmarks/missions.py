@@ -12,11 +12,10 @@ A flight can be flown again alone: ``jaxscp mission indoor --seed SEED --video f
 import argparse
 import json
 import math
-import multiprocessing
 import os
 import time
 import warnings
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from typing import Any
 
 import numpy as np
@@ -144,13 +143,6 @@ def quantile(values: list[float], share: float) -> float | None:
     return float(np.quantile(values, share)) if values else None
 
 
-def _pinned(cores) -> None:
-    """One core for this process: threads that hand each other short operations are slower."""
-    core = cores.get()
-    if hasattr(os, "sched_setaffinity"):  # Linux
-        os.sched_setaffinity(0, {core})
-
-
 def fly_all(
     tasks: list[tuple[str, int]], workers: int, file: str | None, wind: float | None
 ) -> list[dict[str, Any]]:
@@ -158,6 +150,8 @@ def fly_all(
 
     Rows that were flown in another wind stay in the file, and count as not flown.
     """
+    from jaxscp.monte_carlo import Processes
+
     rows = []
     if file is not None and os.path.exists(file):
         with open(file) as before:
@@ -166,13 +160,9 @@ def fly_all(
     done = {(row["field"], row["seed"]) for row in rows}
     rows = [row for row in rows if (row["field"], row["seed"]) in set(tasks)]
     tasks = [task for task in tasks if task not in done]
-    context = multiprocessing.get_context("spawn")
-    cores = context.Queue()
-    available = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else [0]
-    for number in range(workers):
-        cores.put(available[number % len(available)])
-    with ProcessPoolExecutor(workers, context, _pinned, (cores,)) as pool:
-        for future in as_completed([pool.submit(flight, *task, wind) for task in tasks]):
+    # each on its own core: threads that hand each other short operations are slower
+    with Processes(workers).opened() as pool:
+        for future in as_completed([pool.executor.submit(flight, *task, wind) for task in tasks]):
             rows.append(future.result())
             if file is not None:
                 with open(file, "a") as out:

@@ -12,6 +12,8 @@ from jaxscp.simulation.bodies import DECK_HEIGHT, FEET, FOOT
 from jaxscp.simulation.simulate import TICK
 from jaxscp.simulation.vehicles import FEET_DEPTH
 
+Turns = Float[np.ndarray, "ticks 3 3"]
+
 HULL = 0.115  # m: half the diagonal and a rotor's radius
 _AWAY = 0.5  # m over the deck: after that a contact is a landing
 _CONTACT = 0.0005  # m
@@ -52,10 +54,12 @@ class Outcome:
 def assess(record: Record, attempts: int, goal: Float[np.ndarray, "3"]) -> Outcome:
     """The outcome of a flight from its record, its number of approaches and its true goal, m."""
     flight, distance = record.flight(), record.distance()
-    relative, speed, tilt = _relative(np.asarray(flight.vehicle), np.asarray(flight.carrier))
+    vehicle, carrier = np.asarray(flight.vehicle), np.asarray(flight.carrier)
+    own, turn = (rotations(body[:, 6:10]).as_matrix() for body in (vehicle, carrier))
+    relative, speed, tilt = _relative(vehicle - carrier, own, turn)
     height = relative[:, 2] - DECK_HEIGHT - FEET_DEPTH
     away = np.argmax(height > _AWAY) if (height > _AWAY).any() else len(height)
-    low = _lowest_foot(np.asarray(flight.vehicle), np.asarray(flight.carrier)) < _CONTACT
+    low = _lowest_foot(vehicle - carrier, own, turn) < _CONTACT
     contact = np.flatnonzero((np.arange(len(height)) > away) & low & _over(relative))
     hit = bool(distance.min() < HULL) or bool(_carrier_hit(relative, height))
     on_deck = abs(height[-1]) < 0.02 and np.hypot(*relative[-1, :2]) < _ON_DECK
@@ -74,7 +78,7 @@ def assess(record: Record, attempts: int, goal: Float[np.ndarray, "3"]) -> Outco
         ]
     return Outcome(
         landed=bool(landed),
-        goal_distance=float(np.linalg.norm(np.asarray(flight.vehicle)[:, :3] - goal, axis=1).min()),
+        goal_distance=float(np.linalg.norm(vehicle[:, :3] - goal, axis=1).min()),
         collision=hit,
         attempts=attempts,
         end=record.phases[-1].name,
@@ -88,10 +92,9 @@ def assess(record: Record, attempts: int, goal: Float[np.ndarray, "3"]) -> Outco
     )
 
 
-def _lowest_foot(vehicle: np.ndarray, carrier: np.ndarray) -> np.ndarray:
-    """Height of the lowest point of the four feet over the deck, m."""
-    turn, own = (rotations(body[:, 6:10]).as_matrix() for body in (carrier, vehicle))
-    centre = (vehicle - carrier)[:, None, :3] + np.einsum("tij,fj->tfi", own, FEET)
+def _lowest_foot(difference: np.ndarray, own: Turns, turn: Turns) -> np.ndarray:
+    """Height of the lowest point of the four feet over the deck, m; arguments as of ``_relative``."""
+    centre = difference[:, None, :3] + np.einsum("tij,fj->tfi", own, FEET)
     up = np.einsum("tfi,ti->tf", centre, turn[:, :, 2])
     return up.min(axis=1) - FOOT - DECK_HEIGHT
 
@@ -106,10 +109,15 @@ def _carrier_hit(relative: Float[np.ndarray, "ticks 3"], height: np.ndarray) -> 
     return bool((inside & (height < -0.03) & (height > -0.4)).any())
 
 
-def _relative(vehicle: np.ndarray, carrier: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Position and velocity of the vehicle in the carrier's axes, m and m/s, and the angle of their z axes, degrees."""
-    turn, own = (rotations(body[:, 6:10]).as_matrix() for body in (carrier, vehicle))
-    position = np.einsum("tji,tj->ti", turn, (vehicle - carrier)[:, :3])
-    velocity = np.einsum("tji,tj->ti", turn, (vehicle - carrier)[:, 3:6])
+def _relative(difference: np.ndarray, own: Turns, turn: Turns) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Position and velocity of the vehicle in the carrier's axes, m and m/s, and the angle of their z axes, degrees.
+
+    Args:
+        difference: of the vehicle's states from the carrier's.
+        own: the vehicle's axes.
+        turn: the carrier's.
+    """
+    position = np.einsum("tji,tj->ti", turn, difference[:, :3])
+    velocity = np.einsum("tji,tj->ti", turn, difference[:, 3:6])
     cosine = np.sum(turn[:, :, 2] * own[:, :, 2], axis=1)
     return position, velocity, np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))

@@ -63,11 +63,9 @@ def _search(rules: Rules, phase, observation: Observation, in_phase: Scalar) -> 
     """Offset in m on a spiral that sinks, while an approach does not see the deck."""
     blind = _is(phase, Phase.approach) & (observation.deck.unseen > rules.deck_lost)
     radius = rules.search_rate * in_phase
-    # from this time on, it turns slower: its speed stays the same while its radius grows
-    full_speed = _SEARCH_SPEED * rules.approach_speed / (rules.search_rate * rules.search_turn)
-    turning = jnp.minimum(in_phase, full_speed) + full_speed * jnp.log(
-        jnp.maximum(in_phase / full_speed, 1.0)
-    )
+    # It turns at a constant rate until it is as fast as it may be, and then at that speed while its radius grows.
+    until = _SEARCH_SPEED * rules.approach_speed / (rules.search_rate * rules.search_turn)
+    turning = jnp.minimum(in_phase, until) + until * jnp.log(jnp.maximum(in_phase / until, 1.0))
     angle = rules.search_turn * turning
     sunk = jnp.minimum(rules.search_descent * in_phase, rules.search_depth)
     spiral = jnp.stack([radius * jnp.cos(angle), radius * jnp.sin(angle), -sunk])

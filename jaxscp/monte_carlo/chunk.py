@@ -30,7 +30,7 @@ class Evaluator(Protocol):
             study: function and base.
             numbers: of the cases.
             drawn: their values of the parameters, ``study.values(numbers)``.
-            stored: what a case gives.
+            stored: shapes and types of the results of a case, by name.
         """
         ...
 

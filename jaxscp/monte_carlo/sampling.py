@@ -74,10 +74,8 @@ class Independent(_Seeded):
     def points(self, numbers: Numbers, dimensions: int) -> UnitPoints:
         """See ``Sampling``."""
         rows, bits = np.empty((len(numbers), dimensions)), np.random.Philox(key=self.seed)
-        generator, state = (
-            np.random.Generator(bits),
-            bits.state,
-        )  # another one for each case takes eight times as long
+        # one generator, set anew for each case: one for each case takes eight times as long
+        generator, state = np.random.Generator(bits), bits.state
         for row, number in zip(rows, numbers.tolist(), strict=True):
             state["state"]["counter"][1] = number  # 2^64 draws lie between the counters of two cases
             bits.state = state

@@ -15,7 +15,6 @@ from jaxscp.simulation.simulate import CONTROL
 RULES = Rules()
 START = jnp.zeros(13).at[6].set(1.0).at[2].set(2.0)
 SECONDS = 25.0
-ADVANCE = eqx.filter_jit(advance)
 
 
 @pytest.fixture(scope="module")

@@ -33,7 +33,7 @@ def fastest(distance):
 
 @pytest.mark.slow
 def test_the_default_mode_is_a_batch_in_chunks(in_chunks):
-    """Each loop of a plan states what it uses: an array that it closed over would belong to no element."""
+    """No loop of a plan closes over an array. Such an array would belong to no element of the batch."""
     assert jax.eval_shape(jax.vmap(fastest), MASSES).cost.shape == MASSES.shape
 
 
