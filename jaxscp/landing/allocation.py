@@ -11,19 +11,23 @@ INTERVALS_A_LEG = 5
 LADDER = (30, 45, 60, 90)  # usual numbers of nodes: few, so that scenarios of nearly one shape share programs
 # Intervals of the last leg that lead to the cone, at least: up to ``LADDER[0]`` nodes, and beyond.
 TO_CONE = 1, 4
+# A leg's share grows with this power of its length. The turns at its ends need intervals, however short it is; with
+# shares by length, narrow chains of seven or eight boxes end in ``dynamics_unmet``.
+GROWTH = 0.25
 
 
 def allocate(route: Route, nodes: int) -> Int[Array, "intervals"]:
-    """Leg of every interval, by the lengths of the legs.
+    """Leg of every interval: longer legs get more, but not in proportion.
 
     Every leg gets one interval at least, and the last one as many as a landing needs, if there are enough. The time
     dilation adapts the mesh afterwards (Remark 1 of the paper). Legs of length zero at the start lie behind the vehicle
     (``passed``), and get none.
     """
-    length, count = jnp.cumsum(route.lengths), route.lengths.shape[0]
-    passed = jnp.sum(length[:-1] == 0.0)
-    spare = (nodes - 1 - count + passed).astype(length.dtype)
-    fraction = length[:-1] / jnp.maximum(length[-1], 1e-9)
+    lengths, count = route.lengths, route.lengths.shape[0]
+    share = jnp.cumsum(lengths**GROWTH)
+    passed = jnp.sum(share[:-1] == 0.0)
+    spare = (nodes - 1 - count + passed).astype(share.dtype)
+    fraction = share[:-1] / jnp.maximum(share[-1], 1e-9)
     after = jnp.arange(count - 1, 0, -1)  # legs after each, which need an interval
     least = jnp.maximum(jnp.arange(1, count) - passed, 0)
     ends = least + jnp.round(spare * fraction).astype(int)
