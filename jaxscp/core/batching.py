@@ -29,6 +29,8 @@ Chunks = tuple[int, ...]
 ALONE: Chunks = (1,)
 CHUNK: dict[str, Chunks] = {"cpu": ALONE}
 CHUNK_ELSEWHERE: Chunks = (2048,)
+# For long loops: after most elements have ended, a step of the few others must not take as long as one of all.
+CHUNK_OF_LONG_LOOPS: Chunks = (128,)
 FEW = 2  # small chunks that take no longer than a large one with as many unfinished elements
 
 
@@ -73,15 +75,24 @@ def while_loop(
 
 def where_needed(
     needed: Flag,
-    act: Callable[[Any, State], State],
+    act: Callable[[Any, State, Flag], State],
     fixed: Any,
     state: State,
     elsewhere: Chunks = CHUNK_ELSEWHERE,
 ) -> State:
-    """``act(fixed, state)`` where needed, else the state; under ``vmap`` the other elements cost nothing."""
+    """What ``act`` returns where needed, else the state; under ``vmap`` the other elements cost nothing.
+
+    Args:
+        needed: whether it is.
+        act: from ``fixed``, the state and ``needed`` to the next state. ``needed`` is false for the elements that fill
+            up a chunk: their result is dropped, and loops inside of ``act`` should not step them.
+        fixed: any pytree.
+        state: a pytree of arrays.
+        elsewhere: elements of a chunk on devices other than CPUs, as above.
+    """
     end, _ = while_loop(
         lambda s: s[1],
-        lambda fixed, s: (act(fixed, s[0]), jnp.zeros_like(s[1])),
+        lambda fixed, s: (act(fixed, *s), jnp.zeros_like(s[1])),
         fixed,
         (state, needed),
         elsewhere,
@@ -119,7 +130,7 @@ def in_chunks(act: Callable[[Any], State], fixed: Any, elsewhere: Chunks = CHUNK
         blank = jax.tree.map(lambda v: jnp.zeros(v.shape, v.dtype), jax.eval_shape(on_arrays, first))
         axes = jax.tree.map(lambda b: 0 if b else None, batched[0])
         chunked = lambda arrays: where_needed(  # noqa: E731
-            jnp.ones((), bool), lambda arrays, _: on_arrays(arrays), arrays, blank, elsewhere
+            jnp.ones((), bool), lambda arrays, *_: on_arrays(arrays), arrays, blank, elsewhere
         )
         return _all_batched(jax.vmap(chunked, in_axes=(axes,), axis_size=size)(arrays))
 

@@ -100,7 +100,9 @@ class NLPInteriorPoint(eqx.Module):
             problem, grid, scale = fixed
             return self.step(problem, iterate, grid, scale)
 
-        return batching.while_loop(lambda s: ~self.terminate(s), step, (problem, grid, scale), start)
+        return batching.while_loop(
+            lambda s: ~self.terminate(s), step, (problem, grid, scale), start, batching.CHUNK_OF_LONG_LOOPS
+        )
 
     def is_optimum(self, iterate: Iterate) -> Flag:
         """Whether an iterate is the optimum."""

@@ -82,7 +82,7 @@ def _change(problem: ScaledTimeProblem, point: Point, grid: Grid, is_optimum: Fl
     right, unravel = ravel_pytree((change, jax.tree.map(jnp.zeros_like, point)))
 
     def solution(mode):
-        def one(fixed, flat):
+        def one(fixed, flat, _):
             problem, point = fixed
             system = _system(problem, point, grid)
             found, _ = ravel_pytree(mode(problem, point, system, grid, *unravel(flat)))

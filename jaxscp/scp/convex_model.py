@@ -50,7 +50,7 @@ def convex_model(problem: ScaledTimeProblem, state: NewtonState) -> ConvexModel:
         gradient=jnp.zeros((problem.nodes, inputs), scale.dtype),
     )
     chosen = batching.where_needed(
-        state.full_hessian, lambda fixed, _: _along_horizon(*fixed), (problem, state, scale), plain
+        state.full_hessian, lambda fixed, *_: _along_horizon(*fixed), (problem, state, scale), plain
     )
     hessian = chosen.hessian.at[-1].add(jnp.diag(1.0 - of_node))  # the last stage's U_{i+1} has no meaning
     if end is not None:

@@ -186,11 +186,13 @@ class NewtonSCP(NewtonSettings):
                 lambda fixed, s: self.step(fixed[0], s, fixed[1]),
                 (problem, tolerance_factor),
                 state,
+                batching.CHUNK_OF_LONG_LOOPS,
             )
             return self.switch_to_interior_point(problem, state), None
 
         end, _ = jax.lax.scan(attempt, start, jnp.array(TOLERANCE_FACTORS))
-        return batching.where_needed(~end.is_optimum, self.restore_dynamics, problem, end)
+        restore = lambda problem, state, _: self.restore_dynamics(problem, state)  # noqa: E731
+        return batching.where_needed(~end.is_optimum, restore, problem, end)
 
     def switch_to_interior_point(self, problem: ScaledTimeProblem, state: NewtonState) -> NewtonState:
         """The optimum close to the last iterate, if the interior point finds it; else the state as it is."""
@@ -231,10 +233,10 @@ class NewtonSCP(NewtonSettings):
         last = state.history.step_norm[jnp.maximum(state.iterations - 1, 0)]
         mu = jnp.clip(BARRIER_OF_STEP * last**2, self.interior.final_mu, self.interior.initial_mu)
 
-        def run(fixed, found: _Optimum) -> _Optimum:
+        def run(fixed, found: _Optimum, needed: Flag) -> _Optimum:
             mu, problem, z, multipliers, least, most = fixed
             interior = eqx.tree_at(lambda i: i.initial_mu, self.interior, mu)
-            end = interior.run(mesh.bounded(problem, most, least), z, multipliers, self.grid)
+            end = interior.run(mesh.bounded(problem, most, least), z, multipliers, self.grid, needed)
             is_optimum, steps = interior.is_optimum(end), found.steps + end.steps
             new = _Optimum(end.z, end.y, least, most, is_optimum, steps)
             found = eqx.tree_at(lambda f: f.steps, found, steps)

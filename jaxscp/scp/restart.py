@@ -101,7 +101,12 @@ def restarted(
         another = left & ~_same(problem, planned, first) & (last.coarse | last.failed)
         needed = none_yet | (enabled & (refine | another))
         start = tree_where(refine, _refined(last), planned)
-        found = batching.where_needed(needed, lambda fixed, _: run(*fixed), (arrays, start, enabled), last)
+        found = batching.where_needed(
+            needed,
+            lambda fixed, _, needed: run(*fixed[:2], fixed[2] & needed),
+            (arrays, start, enabled),
+            last,
+        )
         taken = none_yet | (found.state.status == Status.converged)
         last = dataclasses.replace(last, improves=last.improves & ~(needed & refine))
         return (tree_where(taken, found, last), used + (~refine).astype(int)), None

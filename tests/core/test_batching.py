@@ -125,7 +125,7 @@ def test_on_a_cpu_an_element_takes_its_own_steps_alone():
 @pytest.mark.parametrize("batched", [False, True])
 @pytest.mark.usefixtures("chunks")
 def test_what_is_not_needed_is_left_as_it_is(batched):
-    act = lambda fixed, v: v + fixed  # noqa: E731
+    act = lambda fixed, v, _: v + fixed  # noqa: E731
     one = lambda needed, v: batching.where_needed(needed, act, jnp.ones(()), v)  # noqa: E731
     needed, values = jnp.array([True, False, True]), jnp.array([1.0, 2.0, jnp.nan])
     if batched:
@@ -134,6 +134,24 @@ def test_what_is_not_needed_is_left_as_it_is(batched):
         np.testing.assert_array_equal(
             [one(n, v) for n, v in zip(needed, values, strict=True)], [2.0, 2.0, np.nan]
         )
+
+
+@pytest.mark.usefixtures("in_chunks")
+def test_a_loop_inside_steps_what_is_needed_alone():
+    stepped = []
+
+    def step(_, left):
+        jax.debug.callback(lambda left: stepped.append(int(left)), left)
+        return left - 1
+
+    def act(_, times, needed):
+        return batching.while_loop(lambda left: left > 0, step, None, jnp.where(needed, times, 0))
+
+    times = jnp.arange(1, FULL + 1)
+    run = jax.vmap(lambda needed, times: batching.where_needed(needed, act, None, times))
+    jax.block_until_ready(run(times > FULL - 2, times))
+    jax.effects_barrier()
+    assert sorted(v for v in stepped if v > 0) == sorted([*range(1, FULL + 1), *range(1, FULL)])
 
 
 @pytest.mark.usefixtures("chunks")
