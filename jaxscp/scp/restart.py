@@ -89,6 +89,10 @@ def restarted(
         accurate = free if method.grid is None else mesh.bounds(stated, state.z, method.grid)
         return End(state, start.most, accurate, jnp.ones((), bool))
 
+    def from_start(fixed, _, needed: Flag) -> End:
+        arrays, start, enabled = fixed
+        return run(arrays, start, enabled & needed)
+
     first = jax.tree.map(lambda v: v[0], starts)
     zero = lambda v: jnp.zeros(v.shape, v.dtype)  # noqa: E731
     nothing = jax.tree.map(zero, jax.eval_shape(run, arrays, first, enabled).state)
@@ -101,12 +105,7 @@ def restarted(
         another = left & ~_same(problem, planned, first) & (last.coarse | last.failed)
         needed = none_yet | (enabled & (refine | another))
         start = tree_where(refine, _refined(last), planned)
-        found = batching.where_needed(
-            needed,
-            lambda fixed, _, needed: run(*fixed[:2], fixed[2] & needed),
-            (arrays, start, enabled),
-            last,
-        )
+        found = batching.where_needed(needed, from_start, (arrays, start, enabled), last)
         taken = none_yet | (found.state.status == Status.converged)
         last = dataclasses.replace(last, improves=last.improves & ~(needed & refine))
         return (tree_where(taken, found, last), used + (~refine).astype(int)), None
