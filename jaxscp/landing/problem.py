@@ -46,9 +46,6 @@ from jaxscp.problem.form import Continuous, Form
 from jaxscp.problem.problem import OptimalControlProblem
 from jaxscp.problem.time import FreeTime, Time
 
-# Along many meshes a plan costs nearly the same, and Newton steps wander among them. This weight picks an even one, and
-# takes some 1e-4 of the cost.
-MESH_WEIGHT = 1e-4
 LIMIT_TOLERANCE = 1e-3  # fraction of a limit: violation that counts as none
 # Errors at an end that count as none; a millimetre of position is ``DISTANCE_TOLERANCE``.
 ANGLE_TOLERANCE = 1.75e-3  # rad: 0.1 degree
@@ -160,11 +157,7 @@ def landing_problem(
         dynamics=mission.airframe.body,
         cost=Cost(effort, flight_time, mission.weights),
         boundary=Boundary(*_ends(mission, form)),
-        time=Time(
-            nodes,
-            FreeTime(mission.dilation_min, mission.dilation_max),
-            mesh_weight=None if form.carries_cost else MESH_WEIGHT,
-        ),
+        time=Time(nodes, FreeTime(mission.dilation_min, mission.dilation_max), mesh_weight=None),
         constraints=(
             *_corridor_and_cone(mission, route.polytope[allocation]),
             *_flight_limits(mission, nodes),
