@@ -26,12 +26,13 @@ def allocate(route: Route, nodes: int) -> Int[Array, "intervals"]:
     lengths, count = route.lengths, route.lengths.shape[0]
     share = jnp.cumsum(lengths**GROWTH)
     passed = jnp.sum(share[:-1] == 0.0)
-    spare = (nodes - 1 - count + passed).astype(share.dtype)
-    fraction = share[:-1] / jnp.maximum(share[-1], 1e-9)
-    after = jnp.arange(count - 1, 0, -1)  # legs after each, which need an interval
+    spare = (nodes - 1 - count + passed).astype(share.dtype)  # beyond one for each leg
+    # What the last leg needs is taken from all legs before it, not from its neighbour alone.
+    most = jnp.maximum(spare + 1.0 - in_last(nodes), 0.0)
+    before_last = jnp.minimum(spare * share[-2:-1] / jnp.maximum(share[-1], 1e-9), most)
+    fraction = share[:-1] / jnp.maximum(share[-2:-1], 1e-9)
     least = jnp.maximum(jnp.arange(1, count) - passed, 0)
-    ends = least + jnp.round(spare * fraction).astype(int)
-    ends = jnp.maximum(jnp.minimum(ends, nodes - in_last(nodes) - after), least)
+    ends = least + jnp.round(before_last * fraction).astype(int)
     return jnp.searchsorted(ends, jnp.arange(nodes - 1), side="right", method="compare_all").astype(int)
 
 

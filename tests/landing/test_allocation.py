@@ -38,6 +38,13 @@ def test_long_polytopes_have_more_intervals():
     assert counts[1] > counts[2] > counts[0]
 
 
+@pytest.mark.parametrize("lengths", [[4.0, 1.0] * 4, [4.0, 0.5, 4.0, 0.5, 4.0, 4.0], [1.0] * 8])
+def test_short_legs_and_the_one_before_the_last_have_half_the_intervals_of_others(lengths):
+    """The turns at their ends need them: with one or two, narrow chains of boxes end in ``dynamics_unmet``."""
+    before_last = np.bincount(np.asarray(allocate(route_of(*hall(lengths)), 45)))[:-1]
+    assert 2 * before_last.min() >= before_last.max()
+
+
 def test_route_is_evenly_spaced_within_each_polytope():
     route = route_of(*hall([3.0, 6.0]))
     cells = allocate(route, 20)

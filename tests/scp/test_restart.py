@@ -117,18 +117,31 @@ def test_a_method_from_an_accurate_guess_starts_once():
     assert np.all(np.isinf(most))
 
 
+def assert_flies(seed, planner):
+    """A chain of boxes, planned and judged by SciPy."""
+    from benchmarks.robustness.chains import chain
+    from benchmarks.robustness.judge import refuted
+
+    scenario = chain(seed).scenario
+    solution = planner(scenario)
+    assert jaxscp.status_names(solution.status) == "converged"
+    assert not refuted(scenario, solution)
+
+
 @pytest.mark.nightly
 @pytest.mark.filterwarnings("ignore:corridor:UserWarning")  # the boxes of a chain bound the vehicle's centre
 @pytest.mark.parametrize("seed", [93, 107, 110, 274, 442, 717, 731])
 def test_chains_that_need_a_finer_mesh(seed):
     """From the first guess alone, one interval of each is so long that the certificate refutes the plan."""
-    from benchmarks.robustness.chains import chain
-    from benchmarks.robustness.judge import refuted
+    assert_flies(seed, jaxscp.Planner())
 
-    scenario = chain(seed).scenario
-    solution = jaxscp.Planner()(scenario)
-    assert jaxscp.status_names(solution.status) == "converged"
-    assert not refuted(scenario, solution)
+
+@pytest.mark.nightly
+@pytest.mark.filterwarnings("ignore:corridor:UserWarning")
+@pytest.mark.parametrize("seed", [3221, 4577, 4958, 5730, 6653, 6768])
+def test_chains_that_need_intervals_on_short_legs(seed):
+    """With one or two intervals on short legs or before the last one, few guesses lead to a plan, or none."""
+    assert_flies(seed, jaxscp.Planner())
 
 
 @pytest.mark.nightly
@@ -136,10 +149,4 @@ def test_chains_that_need_a_finer_mesh(seed):
 @pytest.mark.parametrize("seed", [27, 54])
 def test_chains_of_turns_that_need_a_slower_guess(seed):
     """Each has a motion that can be flown; from its first guess, 30 nodes end in ``dynamics_unmet``."""
-    from benchmarks.robustness.chains import chain
-    from benchmarks.robustness.judge import refuted
-
-    scenario = chain(seed).scenario
-    solution = jaxscp.Planner(nodes=30)(scenario)
-    assert jaxscp.status_names(solution.status) == "converged"
-    assert not refuted(scenario, solution)
+    assert_flies(seed, jaxscp.Planner(nodes=30))
