@@ -41,6 +41,16 @@ def grow(factor, shift, times, start):
     return batching.while_loop(lambda state: state[0] > 0, step, fixed, (times, start))
 
 
+def count_down(times, stepped, ordered=False):
+    """``times`` steps; ``stepped`` gets what is left before each."""
+
+    def step(_, left):
+        jax.debug.callback(lambda left: stepped.append(int(left)), left, ordered=ordered)
+        return left - 1
+
+    return batching.while_loop(lambda left: left > 0, step, None, times)
+
+
 def by_hand(factor, shift, times, start):
     v = np.array(start)
     for _ in range(int(times)):
@@ -98,12 +108,7 @@ def test_an_element_that_has_ended_is_not_stepped_again():
 @pytest.mark.usefixtures("in_chunks")
 def test_a_chunk_is_filled_up_with_elements_that_have_ended():
     stepped = []
-
-    def step(_, left):
-        jax.debug.callback(lambda left: stepped.append(int(left)), left)
-        return left - 1
-
-    run = jax.vmap(lambda times: batching.while_loop(lambda left: left > 0, step, None, times))
+    run = jax.vmap(lambda times: count_down(times, stepped))
     jax.block_until_ready(run(jnp.array([1] * (FULL - 3) + [3] * 3)))
     jax.effects_barrier()
     assert sorted(stepped) == [0] * 2 * (FULL - 3) + [1] * FULL + [2] * 3 + [3] * 3
@@ -111,12 +116,7 @@ def test_a_chunk_is_filled_up_with_elements_that_have_ended():
 
 def test_on_a_cpu_an_element_takes_its_own_steps_alone():
     stepped = []
-
-    def step(_, left):
-        jax.debug.callback(lambda left: stepped.append(int(left)), left, ordered=True)
-        return left - 1
-
-    run = jax.vmap(lambda times: batching.while_loop(lambda left: left > 0, step, None, times))
+    run = jax.vmap(lambda times: count_down(times, stepped, ordered=True))
     jax.block_until_ready(run(jnp.array([2, 0, 3])))
     jax.effects_barrier()
     assert stepped == [2, 1, 3, 2, 1]
@@ -139,14 +139,7 @@ def test_what_is_not_needed_is_left_as_it_is(batched):
 @pytest.mark.usefixtures("in_chunks")
 def test_a_loop_inside_steps_what_is_needed_alone():
     stepped = []
-
-    def step(_, left):
-        jax.debug.callback(lambda left: stepped.append(int(left)), left)
-        return left - 1
-
-    def act(_, times, needed):
-        return batching.while_loop(lambda left: left > 0, step, None, jnp.where(needed, times, 0))
-
+    act = lambda _, times, needed: count_down(jnp.where(needed, times, 0), stepped)  # noqa: E731
     times = jnp.arange(1, FULL + 1)
     run = jax.vmap(lambda needed, times: batching.where_needed(needed, act, None, times))
     jax.block_until_ready(run(times > FULL - 2, times))
