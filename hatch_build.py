@@ -19,7 +19,7 @@ SOURCES = Path("jaxscp/backends/sources.py")
 LIBRARIES = {  # stem: sources compiled for each instruction set, sources compiled for any
     Path("jaxscp/conic/native/interior_point"): (("handler",), ("gpu_handler",)),
     Path("jaxscp/linalg/gram/native/gram"): (("handler",), ()),
-    Path("jaxscp/linalg/riccati/native/riccati"): (("handler",), ()),
+    Path("jaxscp/linalg/riccati/native/riccati"): (("handler",), ("gpu_handler",)),
     Path("jaxscp/linalg/eigen/native/eigen"): (("handler",), ()),
     Path("jaxscp/integration/native/integration"): (("handler",), ("gpu_handler",)),
 }

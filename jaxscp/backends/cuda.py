@@ -34,6 +34,12 @@ def capability() -> str | None:
     return "".join(map(str, number)) if number >= OLDEST else None
 
 
+def shared_memory(capability: str) -> int:
+    """Bytes of shared memory that a block can have (CUDA C++ Programming Guide, "Technical Specifications")."""
+    kibibytes = {"80": 163, "87": 163, "90": 227, "100": 227, "103": 227}
+    return 1024 * kibibytes.get(capability, 99)
+
+
 def launches(library: libraries.Library) -> bool:
     """Whether a library can launch its kernel on JAX's GPUs; registers the launcher with XLA."""
     return (

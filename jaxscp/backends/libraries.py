@@ -8,6 +8,7 @@ Headers shared by all of them are in ``native/``:
     runs_here.cc    check of this machine's instruction set; digest of the sources
     parallel_for.h  loops over XLA's thread pool
     driver.h        NVIDIA's driver, which launches kernels; ``cuda.py`` compiles those
+    launch.h        launch of a kernel with any arguments and results; ``launch.py`` calls it
 """
 
 import ctypes
@@ -109,7 +110,9 @@ INTERIOR_POINT = Library(
 )
 GRAM = Library(_PACKAGE / "linalg/gram/native/gram", ("jaxscp_gram",))
 RICCATI = Library(
-    _PACKAGE / "linalg/riccati/native/riccati", ("jaxscp_riccati_factor", "jaxscp_riccati_solve")
+    _PACKAGE / "linalg/riccati/native/riccati",
+    ("jaxscp_riccati_factor", "jaxscp_riccati_solve"),
+    "jaxscp_riccati_on_gpu",
 )
 EIGEN = Library(_PACKAGE / "linalg/eigen/native/eigen", ("jaxscp_nearest_semidefinite", "jaxscp_eigen"))
 INTEGRATION = Library(

@@ -1,11 +1,12 @@
 """Outputs of intervals, their Jacobian and the Hessian of their weighted sum, by the fastest implementation.
 
-Functions that are arithmetic alone become tapes, which C++ evaluates on a CPU if the library was compiled. Without path
-outputs, the Jacobian comes from a kernel on an NVIDIA GPU, and from the tape in JAX on other devices. JAX
-differentiates its own implementation in place of these functions.
+Functions that are arithmetic alone become tapes. C++ evaluates them on a CPU if the library was compiled, and kernels do
+on an NVIDIA GPU. Without path outputs, other devices take the Jacobian from the tape in JAX. JAX differentiates its own
+implementation in place of these functions.
 """
 
 import contextlib
+import functools
 from collections.abc import Callable, Hashable
 from typing import Any, NamedTuple
 
@@ -14,10 +15,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from jaxscp.backends import cuda, libraries
-from jaxscp.backends.codegen import launch, tracing
+from jaxscp.backends import cuda, launch, libraries
+from jaxscp.backends.codegen import tracing
 from jaxscp.backends.serving import warn_slow
-from jaxscp.integration import in_cpp, in_cuda, in_jax, in_tape
+from jaxscp.integration import in_cpp, in_cuda, in_cuda_blocks, in_jax, in_tape, interval_tapes
 from jaxscp.integration.intervals import IntervalData, IntervalOutputs, Intervals
 
 
@@ -56,8 +57,9 @@ def served_by(intervals: Intervals, w: Array, data: IntervalData, order: int) ->
 
 @eqx.filter_custom_jvp
 def _evaluate(intervals: Intervals, w: Array, data: IntervalData) -> IntervalOutputs:
-    cpp = _implementations(intervals, w, data, order=0).cpp
-    (found,) = libraries.dispatch(cpp, lambda w, data: (in_jax.evaluate(intervals, w, data),), w, data)
+    compiled = _implementations(intervals, w, data, order=0)
+    default = lambda w, data: (in_jax.evaluate(intervals, w, data),)  # noqa: E731
+    (found,) = libraries.dispatch(compiled.cpp, default, w, data, cuda=compiled.cuda)
     return found
 
 
@@ -87,9 +89,9 @@ def _(primals, tangents):
 
 @eqx.filter_custom_jvp
 def _linearise_with_hessian(intervals: Intervals, w: Array, data: IntervalData, multipliers: IntervalOutputs):
-    cpp = _implementations(intervals, w, data, order=2).cpp
+    compiled = _implementations(intervals, w, data, order=2)
     default = lambda *args: in_jax.linearise_with_hessian(intervals, *args)  # noqa: E731
-    return libraries.dispatch(cpp, default, w, data, multipliers)
+    return libraries.dispatch(compiled.cpp, default, w, data, multipliers, cuda=compiled.cuda)
 
 
 @_linearise_with_hessian.def_jvp
@@ -98,7 +100,7 @@ def _(primals, tangents):
 
 
 class _Implementations(NamedTuple):
-    """Compiled implementations; None for one that does not support the intervals."""
+    """Compiled functions of (w, data, multipliers); None for one that does not support the intervals."""
 
     cpp: Callable[..., Any] | None
     cuda: Callable[..., Any] | None
@@ -109,9 +111,9 @@ _AVAILABLE: dict[Hashable, tuple[bool, bool]] = {}
 
 
 def _implementations(intervals: Intervals, w: Array, data: IntervalData, order: int) -> _Implementations:
-    found = _Implementations(
-        _in_cpp(intervals, w, data, order), _in_cuda(intervals, w) if order == 1 else None
-    )
+    find = _by_registers if order == 1 and intervals.path_outputs.empty else _by_blocks
+    record = functools.cache(lambda: interval_tapes.record(intervals, w.shape[-1], data, order))
+    found = _Implementations(_in_cpp(intervals, w, record, order), find(intervals, w, record, order))
     _AVAILABLE[_key(intervals, w, data, order)] = found.cpp is not None, found.cuda is not None
     return found
 
@@ -121,26 +123,50 @@ def _key(intervals: Intervals, w: Array, data: IntervalData, order: int) -> Hash
     return order, structure, tuple((jnp.shape(v), jnp.result_type(v)) for v in leaves)
 
 
-def _in_cpp(intervals: Intervals, w: Array, data: IntervalData, order: int) -> Callable[..., Any] | None:
-    """Integration in C++ as a function of (w, data, multipliers); None if C++ does not support these intervals."""
+Record = Callable[[], interval_tapes.IntervalTapes]
+
+
+def _in_cpp(intervals: Intervals, w: Array, record: Record, order: int) -> Callable[..., Any] | None:
+    """Integration in C++; None if C++ does not support these intervals."""
     if not in_cpp.supports(w):
         return None
     try:
-        tapes = in_cpp.record(intervals, w.shape[-1], data, order)
+        tapes = record()
     except tracing.CannotTrace as error:
         warn_slow(f"compiled C++ cannot integrate this problem ({error}); JAX does, and is slower")
         return None
     return lambda w, data, multipliers=None: in_cpp.integrate(intervals, tapes, w, data, multipliers, order)
 
 
-def _in_cuda(intervals: Intervals, w: Array) -> Callable[..., Any] | None:
-    """Outputs and Jacobian by a kernel, as a function of (w, data); None if there is no kernel."""
+def _by_blocks(intervals: Intervals, w: Array, record: Record, order: int) -> Callable[..., Any] | None:
+    """Integration by a CUDA block an interval; None if there is no kernel, or none is needed."""
+    capability = cuda.capability()
+    if capability is None or not in_cuda_blocks.supports(w) or intervals.path_outputs.empty:
+        return None
+    try:
+        tapes = record()
+    except tracing.CannotTrace as error:
+        warn_slow(f"no CUDA kernel can integrate this problem ({error}); JAX does, and is slower")
+        return None
+    kernel = in_cuda_blocks.kernel(intervals, tapes, w.shape[-1], order, capability)
+    if kernel is None:
+        warn_slow(
+            "an interval of this problem is too large for a CUDA kernel; JAX integrates it, and is slower"
+        )
+        return None
+    return lambda w, data, multipliers=None: in_cuda_blocks.integrate(
+        intervals, tapes, kernel, w, data, multipliers, order
+    )
+
+
+def _by_registers(intervals: Intervals, w: Array, _: Record, order: int) -> Callable[..., Any] | None:
+    """Outputs and Jacobian by a kernel with tangents in registers; None if there is no kernel."""
     capability = cuda.capability()
     if capability is None or not in_cuda.supports(intervals, w):
         return None
     try:
-        kernel = in_cuda.record(intervals, w.shape[-1])
+        source = in_cuda.record(intervals, w.shape[-1])
     except tracing.CannotTrace:
         return None
-    cubin = launch.cubin(kernel.text, capability, "the integration")
-    return None if cubin is None else lambda w, _: in_cuda.linearise(intervals, kernel, cubin, w)
+    cubin = launch.cubin(source.text, capability, "the integration")
+    return None if cubin is None else lambda w, *_: in_cuda.linearise(intervals, source, cubin, w)

@@ -4,8 +4,7 @@ XLA runs an interval's derivatives as thousands of small operations on mostly ze
 each of their operations takes two registers of intervals at once.
 """
 
-import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -13,62 +12,16 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxscp.backends import libraries
-from jaxscp.backends.codegen import functions, tape
+from jaxscp.backends.codegen import tape
 from jaxscp.backends.codegen.functions import TapedFunction
 from jaxscp.integration import native
-from jaxscp.integration.intervals import IntervalData, IntervalOutputs, Intervals, OutputGroup
-from jaxscp.integration.rate_tape import record_rate
-
-
-class IntervalTapes(NamedTuple):
-    """Functions of a problem as tapes."""
-
-    rate: TapedFunction
-    point: TapedFunction
-    ends: TapedFunction
-    margins: tuple[TapedFunction, ...]
-    """``subtract_margin`` of each output group, a function of the values that share a margin."""
+from jaxscp.integration.interval_tapes import IntervalTapes, flat_shapes, in_parts, side_by_side
+from jaxscp.integration.intervals import IntervalData, IntervalOutputs, Intervals
 
 
 def supports(w: Array) -> bool:
     """Whether the C++ can integrate intervals of these variables."""
     return libraries.in_float64(w) and native.LIBRARY.available()
-
-
-def record(intervals: Intervals, inputs: int, data: IntervalData, order: int) -> IntervalTapes:
-    """Tapes of all functions, with derivatives up to an order.
-
-    Args:
-        intervals: the integration.
-        inputs: size of w.
-        data: data of all intervals, for their shapes.
-        order: highest derivative.
-
-    Raises:
-        CannotTrace: if a function is not arithmetic alone.
-    """
-    n, points, outputs = intervals.states, intervals.points, intervals.path_outputs
-    of_point, point_tree = jax.tree.flatten(jax.tree.map(lambda v: v[0], data.point))
-    of_ends, ends_tree = jax.tree.flatten(jax.tree.map(lambda v: v[0], data.ends))
-
-    def at_point(a, *data):
-        return outputs.at_point(a[:n], a[n:], jax.tree.unflatten(point_tree, data))
-
-    def at_ends(w, *data):
-        return outputs.at_ends(w, jax.tree.unflatten(ends_tree, data))
-
-    def margin(group: OutputGroup):
-        def function(values, mask):
-            return jnp.ravel(group.subtract_margin(values.reshape(points, group.group_size), mask))
-
-        return functions.record(function, points * group.group_size, [data.margin_mask[0]], order)
-
-    return IntervalTapes(
-        record_rate(intervals, inputs, order),
-        functions.record(at_point, n + intervals.controls(inputs), of_point, order),
-        functions.record(at_ends, inputs, of_ends, order),
-        tuple(map(margin, outputs.groups)),
-    )
 
 
 def first_inputs(jacobian: np.ndarray, states: int, inputs: int) -> np.ndarray:
@@ -161,31 +114,16 @@ def integrate(
         order: highest derivative.
     """
     count, inputs = w.shape
-    of_groups = [intervals.points * group.rows for group in intervals.path_outputs.groups]
-    widths = [intervals.states, 1, *of_groups, tapes.ends.values]
-    shapes = [(sum(widths),), (sum(widths), inputs), (inputs, inputs)][: order + 1]
+    shapes = flat_shapes(intervals, tapes, inputs)[: order + 1]
     all_functions = [*tapes[:3], *tapes.margins]
     parameters = [f.parameters[which] for which in (0, 1) for f in all_functions]
-    arrays = [w, jnp.concatenate(parameters), _side_by_side(data)]
+    arrays = [w, jnp.concatenate(parameters), side_by_side(data)]
     if order == 2:
-        arrays.append(_side_by_side(multipliers))
+        arrays.append(side_by_side(multipliers))
     call = jax.ffi.ffi_call(
         native.TARGET,
         [jax.ShapeDtypeStruct((count, *shape), w.dtype) for shape in shapes],
         vmap_method="broadcast_all",
     )
-    outputs, *derivatives = call(*arrays, **_description(intervals, tapes, inputs, order))
-    splits = np.cumsum(widths)[:-1]
-
-    def split(flat: Array) -> IntervalOutputs:
-        end, cost, *points, ends = jnp.split(flat, splits, axis=1)
-        shaped = [p.reshape(count, intervals.points, -1, *flat.shape[2:]) for p in points]
-        return IntervalOutputs(end, cost[:, 0], tuple(shaped), ends)
-
-    return (split(outputs), *map(split, derivatives[:1]), *derivatives[1:])
-
-
-def _side_by_side(tree: Any) -> Float[Array, "intervals numbers"]:
-    """All leaves of a pytree as one row for each interval."""
-    leaves = jax.tree.leaves(tree)
-    return jnp.concatenate([v.reshape(v.shape[0], math.prod(v.shape[1:])) for v in leaves], axis=1)
+    found = call(*arrays, **_description(intervals, tapes, inputs, order))
+    return in_parts(intervals, tapes, found)

@@ -9,7 +9,7 @@ import pytest
 
 from jaxscp.backends import cuda, libraries
 from jaxscp.backends.codegen import tape
-from jaxscp.backends.sources import digest
+from jaxscp.backends.sources import SHARED, digest
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = Path(libraries.__file__).parents[1]
@@ -56,7 +56,7 @@ def test_operations_have_the_same_codes_in_python_and_in_the_c_plus_plus():
     ids=lambda library: library.stem.name,
 )
 def test_launchers_read_the_attributes_that_carry_a_kernel(library):
-    text = (library.stem.parent / "gpu_handler.cc").read_text()
+    text = (library.stem.parent / "gpu_handler.cc").read_text() + (SHARED / "launch.h").read_text()
     assert all(f'("{name}")' in text for name in cuda.attributes(b"a cubin"))
 
 

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 
 from jaxscp.backends import libraries
-from jaxscp.backends.codegen import functions, launch
+from jaxscp.backends.codegen import functions
 from jaxscp.integration import in_cpp, native
 from tests.support.interval_problems import RATES
 
@@ -41,9 +41,8 @@ def test_ffi_names_of_python_are_the_symbols_of_the_c_plus_plus():
         for name in ("handler.cc", "gpu_handler.cc")
     }
     assert libraries.INTEGRATION == native.LIBRARY
-    assert symbols == {"handler.cc": {native.TARGET}, "gpu_handler.cc": {launch.TARGET}}
+    assert symbols == {"handler.cc": {native.TARGET}, "gpu_handler.cc": {native.LIBRARY.on_gpu}}
     assert native.LIBRARY.targets == (native.TARGET,)
-    assert native.LIBRARY.on_gpu == launch.TARGET
 
 
 def test_ffi_attributes_of_python_are_those_of_the_c_plus_plus():
@@ -51,4 +50,11 @@ def test_ffi_attributes_of_python_are_those_of_the_c_plus_plus():
         return set(re.findall(r"\.Attr<.*>\(\"(\w+)\"\)", (SOURCES / name).read_text()))
 
     assert attributes("handler.cc") == {"integers", "reals"}
-    assert attributes("gpu_handler.cc") == {"cubin", "name", "group_size", "threads"}
+    assert attributes("../../backends/native/launch.h") == {
+        "cubin",
+        "name",
+        "axes",
+        "group_size",
+        "threads",
+        "shared",
+    }

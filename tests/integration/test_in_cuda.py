@@ -6,8 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxscp.backends.codegen import launch
-from jaxscp.integration import dispatch, in_cuda, in_jax, tableaus
+from jaxscp.backends import launch
+from jaxscp.integration import dispatch, in_cuda, in_jax, native, tableaus
 from jaxscp.integration.intervals import Intervals, PathOutputs, without_data
 from jaxscp.transcription.discretise import METHOD
 from jaxscp.transcription.interval_inputs import integration_inputs
@@ -19,7 +19,7 @@ from tests.support.kernels import as_on_a_gpu, compiled, handler, needs_compiler
 @pytest.fixture
 def emulated(tmp_path, monkeypatch):
     """``linearise`` by the kernel, with so many columns in a thread."""
-    monkeypatch.setattr(launch, "TARGET", handler())
+    monkeypatch.setattr(native, "LIBRARY", native.LIBRARY._replace(on_gpu=handler()))
 
     def with_columns(columns):
         def linearise(intervals, w, _):
@@ -129,7 +129,7 @@ def test_a_gpu_runs_the_kernel_and_other_devices_do_not(monkeypatch):
 
     def calls(platform, intervals, w, data):
         traced = jax.jit(jax.vmap(lambda w: dispatch.linearise(intervals, w, data))).trace(w[None])
-        return launch.TARGET in traced.lower(lowering_platforms=(platform,)).as_text()
+        return native.LIBRARY.on_gpu in traced.lower(lowering_platforms=(platform,)).as_text()
 
     assert calls("cuda", intervals, w, data)
     assert not calls("cpu", intervals, w, data)

@@ -2,6 +2,11 @@
 #pragma once
 
 #include <cmath>
+#include <utility>
+
+#ifndef JAXSCP_EMULATED_GPU
+#define JAXSCP_EMULATED_GPU
+#endif
 
 #define __global__
 #define __noinline__

@@ -1,4 +1,4 @@
-"""CUDA kernels written from tapes, compiled for a CPU, where threads run one after another."""
+"""CUDA kernels compiled for a CPU, where threads run one after another."""
 
 import ctypes
 import functools
@@ -10,8 +10,7 @@ from pathlib import Path
 import jax
 import pytest
 
-from jaxscp.backends import cuda, libraries
-from jaxscp.backends.codegen import launch
+from jaxscp.backends import cuda, launch, libraries
 
 HERE = Path(__file__).parent
 COMPILER = shutil.which("g++")
@@ -35,15 +34,18 @@ def handler() -> str:
     with tempfile.TemporaryDirectory() as folder:
         library = Path(folder) / "handler.so"
         compile_here(HERE / "kernel_handler_on_a_cpu.cc", library)
-        assert libraries.register(ctypes.CDLL(str(library)), launch.TARGET, target=name)
+        assert libraries.register(ctypes.CDLL(str(library)), "jaxscp_run_kernel", target=name)
     return name
 
 
-def compiled(text: str, folder: Path, keywords: str = "threads_on_a_cpu.h") -> bytes:
-    """Path of a kernel's library, in place of a cubin; a header supplies CUDA's keywords."""
+def compiled(
+    text: str, folder: Path, keywords: str = "threads_on_a_cpu.h", headers=(), **macros: object
+) -> bytes:
+    """Path of a kernel's library, in place of a cubin; ``keywords`` is a header with CUDA's keywords."""
     source, library = folder / "kernel.cc", folder / "kernel.so"
-    source.write_text(text)
-    compile_here(source, library, "-include", keywords)
+    source.write_text(f'{text}\n#include "run_on_a_cpu.h"\n')
+    options = [*(f"-I{h}" for h in headers), *(f"-D{name}={value}" for name, value in macros.items())]
+    compile_here(source, library, "-include", keywords, *options)
     return str(library).encode()
 
 
@@ -53,4 +55,4 @@ def as_on_a_gpu(monkeypatch) -> None:
     monkeypatch.setattr(cuda, "capability", lambda: "90")
     monkeypatch.setattr(cuda, "launches", lambda _: True)
     monkeypatch.setattr(cuda, "compiler", lambda: "one")
-    monkeypatch.setattr(launch, "cubin", lambda *_: b"a cubin")
+    monkeypatch.setattr(launch, "cubin", lambda *_, **__: b"a cubin")

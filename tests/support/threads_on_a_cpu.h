@@ -1,17 +1,13 @@
-// A GPU's threads on a CPU, one after another, for kernels written from tapes in which no thread waits for another.
+// A GPU's threads on a CPU, one after another, for kernels in which no thread waits for another.
 #pragma once
 
 #include "cuda_words.h"
 
-extern "C" void jaxscp_kernel(const double* w, const double* hoisted, double* first, double* second, long long count,
-                              long long batch);
+namespace emulated {
 
-// Runs as many blocks as the handler for GPUs launches.
-extern "C" void run(const double* w, const double* hoisted, double* first, double* second, long long count,
-                    long long batch, long long group_size, long long threads) {
-  const long long blocks = (count * group_size + threads - 1) / threads;
-  for (long long i = 0; i < blocks * threads; ++i) {
-    blockIdx.x = i / threads, threadIdx.x = i % threads;
-    jaxscp_kernel(w, hoisted, first, second, count, batch);
-  }
+template <typename Act>
+void run_block(long long threads, Act act) {
+  for (long long t = 0; t < threads; ++t) threadIdx.x = t, act();
 }
+
+}  // namespace emulated

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import jaxscp
-from jaxscp.backends.codegen import launch
+from jaxscp.backends import launch
 from jaxscp.dynamics.base import Dynamics
 from jaxscp.verification.integrator import cuda_source, in_cuda, in_jax
 from jaxscp.verification.integrator.integrate import integrate
@@ -65,7 +65,8 @@ def integrated_by(group_size, tmp_path):
         code = compiled(
             cuda_source.kernel(slope, dilation.shape[0] - 1, samples), tmp_path, words[group_size]
         )
-        kernel = in_cuda.Kernel(dynamics, slope, code, group_size, samples)
+        target, threads = in_cuda.LIBRARY.on_gpu, cuda_source.BLOCK_THREADS
+        kernel = in_cuda.Kernel(dynamics, slope, launch.Kernel(target, code, group_size, threads), samples)
         return kernel(start, control, dilation)
 
     return states
@@ -74,7 +75,7 @@ def integrated_by(group_size, tmp_path):
 @pytest.fixture
 def emulated(tmp_path, monkeypatch):
     """The kernel with one thread a trajectory."""
-    monkeypatch.setattr(launch, "TARGET", handler())
+    monkeypatch.setattr(in_cuda, "LIBRARY", in_cuda.LIBRARY._replace(on_gpu=handler()))
     return integrated_by(1, tmp_path)
 
 
@@ -82,7 +83,7 @@ def emulated(tmp_path, monkeypatch):
 @needs_compiler
 def test_a_warp_integrates_one_trajectory(tmp_path, monkeypatch):
     """More states and samples than threads a trajectory, and more trajectories than a block has."""
-    monkeypatch.setattr(launch, "TARGET", handler())
+    monkeypatch.setattr(in_cuda, "LIBRARY", in_cuda.LIBRARY._replace(on_gpu=handler()))
     count, size, samples = (
         1 + cuda_source.BLOCK_THREADS // cuda_source.WARP,
         Many.state_size,
@@ -203,7 +204,7 @@ def test_a_gpu_runs_the_kernel_where_there_is_one(monkeypatch):
         states = jnp.zeros((NODES, dynamics.state_size)).at[0].set(start)
         trajectory = jaxscp.Trajectory(dilation, states, control, dilation)
         traced = jax.jit(functools.partial(integrate, dynamics, samples=SAMPLES)).trace(trajectory)
-        return launch.TARGET in traced.lower(lowering_platforms=(platform,)).as_text()
+        return in_cuda.LIBRARY.on_gpu in traced.lower(lowering_platforms=(platform,)).as_text()
 
     assert calls("cuda", BODY, start, control)
     assert not calls("cpu", BODY, start, control)

@@ -9,7 +9,6 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from jaxscp.backends.codegen import tape
-from jaxscp.backends.codegen.functions import TapedFunction
 
 COMPARISONS = """\
 // NaN if either operand is NaN
@@ -40,13 +39,16 @@ _FORMS = {
 _BY_CODE = {tape.CODES[name]: form for name, form in _FORMS.items()}
 
 
-def hoisted_slots(function: TapedFunction) -> list[int]:
-    """Slots of parameters and hoisted results that the outputs, or operations on arguments, read.
+def hoisted_slots(t: tape.Tape, inputs: int) -> list[int]:
+    """Slots of parameters and hoisted results that the outputs, or operations on inputs, read.
 
     Such a slot holds the same number throughout the tape.
+
+    Args:
+        t: the tape.
+        inputs: number of its inputs.
     """
-    t = function.first
-    of_parameters = range(function.inputs, function.inputs + len(t.parameters))
+    of_parameters = range(inputs, inputs + len(t.parameters))
     found = {*of_parameters, *t.operations[: t.hoisted_count, 1].tolist()}
     varying = t.operations[t.hoisted_count :].tolist()
     read = {slot for code, _, *slots in varying for slot in _operands(code, slots)}
@@ -59,7 +61,7 @@ def _operands(code: int, slots: list[int]) -> list[int]:
 
 
 class Numbers(NamedTuple):
-    """A tape in static single assignment: every result that depends on an argument has a number of its own.
+    """A tape in static single assignment: every result that depends on an input has a number of its own.
 
     All other numbers keep the index of their slot.
     """
@@ -73,16 +75,20 @@ class Numbers(NamedTuple):
     """By slot: a literal."""
 
 
-def numbered(function: TapedFunction) -> Numbers:
-    """Static single assignment of a function without data, and of its Jacobian."""
-    t = function.first
+def numbered(t: tape.Tape, inputs: int) -> Numbers:
+    """Static single assignment of a tape.
+
+    Args:
+        t: the tape.
+        inputs: number of its inputs.
+    """
     at = {slot: slot for slot in range(t.slots)}  # latest number in each slot
     operations = {}
     for number, (code, to, *slots) in enumerate(t.operations[t.hoisted_count :].tolist(), start=t.slots):
         operations[number] = code, [at[v] for v in _operands(code, slots)]
         at[to] = number
-    hoisted = {slot: i for i, slot in enumerate(hoisted_slots(function))}
-    constants = enumerate(t.constants.tolist(), start=function.inputs + len(t.parameters))
+    hoisted = {slot: i for i, slot in enumerate(hoisted_slots(t, inputs))}
+    constants = enumerate(t.constants.tolist(), start=inputs + len(t.parameters))
     literals = {slot: literal(value) for slot, value in constants}
     return Numbers(operations, [at[v] for v in t.outputs.tolist()], hoisted, literals)
 

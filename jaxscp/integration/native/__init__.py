@@ -11,7 +11,7 @@ In the order in which the files build on each other:
     tangents.h          Jacobian, and Hessian of the weighted sum
     handler.cc          XLA FFI handler on a CPU
     cuda_source.py      text of the CUDA kernel, from a tape; ``in_cuda.py`` compiles it
-    gpu_handler.cc      XLA FFI handler that launches the kernel
+    gpu_handler.cc      XLA FFI handler that launches kernels
 """
 
 from jaxscp.backends import libraries

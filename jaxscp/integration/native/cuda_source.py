@@ -103,7 +103,7 @@ class _Writer:
         self.rate, self.n, self.method, self.steps = rate, states, method, steps
         self.m, self.rows = rate.arguments - states, rate.values
         self.inputs = states + 2 * self.m
-        self.numbers = numbered(rate)
+        self.numbers = numbered(rate.first, rate.inputs)
         self.entries: list[list[tuple[int, int]]] = [[] for _ in range(self.rows)]
         """By row of the Jacobian: column, and number."""
         entries = zip(rate.jacobian.tolist(), self.numbers.outputs[self.rows :], strict=True)

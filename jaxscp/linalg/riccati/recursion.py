@@ -1,4 +1,4 @@
-"""Riccati recursion: in C++ for float64 on a CPU if compiled, else in JAX.
+"""Riccati recursion for float64: in C++ on a CPU if compiled, in kernels on an NVIDIA GPU; else in JAX.
 
 XLA runs a step of the recursion as dozens of operations on matrices of a few kilobytes, and spends most of its time
 between them.
@@ -8,6 +8,7 @@ import functools
 
 from jaxscp.backends.libraries import dispatch, in_float64
 from jaxscp.linalg.riccati import in_jax, native
+from jaxscp.linalg.riccati.native import gpu
 from jaxscp.linalg.riccati.system import Factor, KKTVector, LQProblem
 
 REFINEMENTS = 3
@@ -16,7 +17,7 @@ REFINEMENTS = 3
 def factor(problem: LQProblem) -> Factor:
     """Factor of the system's matrix, by the backward recursion."""
     cpu = native.factor if _compiled(problem) else None
-    return dispatch(cpu, in_jax.factor, problem)
+    return dispatch(cpu, in_jax.factor, problem, cuda=gpu.factor if gpu.supports(problem) else None)
 
 
 def solve(factor: Factor, right: KKTVector, refinements: int = REFINEMENTS) -> KKTVector:
@@ -29,7 +30,8 @@ def solve(factor: Factor, right: KKTVector, refinements: int = REFINEMENTS) -> K
     """
     refined = functools.partial(native.solve, refinements=refinements)
     cpu = refined if _compiled(factor.problem) else None
-    return dispatch(cpu, functools.partial(in_jax.solve, refinements=refinements), factor, right)
+    cuda = functools.partial(gpu.solve, refinements=refinements) if gpu.supports(factor.problem) else None
+    return dispatch(cpu, functools.partial(in_jax.solve, refinements=refinements), factor, right, cuda=cuda)
 
 
 def _compiled(problem: LQProblem) -> bool:

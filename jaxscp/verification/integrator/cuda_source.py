@@ -140,7 +140,7 @@ def kernel(slope: TapedFunction, intervals: int, samples: int) -> str:
     """Text of the kernel, for a derivative of states and controls."""
     from diffrax import Dopri8  # slow to import
 
-    method, spelled = eighth_order(), numbered(slope)
+    method, spelled = eighth_order(), numbered(slope.first, slope.inputs)
     error, dense = Dopri8.tableau.b_error, np.asarray(Dopri8.interpolation_cls.eval_coeffs)
     numbers: dict[str, Any] = {"warp": WARP, "threads": BLOCK_THREADS, "stages": method.stages}
     numbers |= {"states": slope.values, "controls": slope.arguments - slope.values}

@@ -9,12 +9,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxscp.backends import cuda, libraries
-from jaxscp.backends.codegen import functions, launch, tracing
+from jaxscp.backends import cuda, launch, libraries
+from jaxscp.backends.codegen import functions, tracing
 from jaxscp.backends.codegen.functions import TapedFunction
+from jaxscp.backends.codegen.hoisted import hoisted_constants
 from jaxscp.dynamics.base import Dynamics
 from jaxscp.verification.integrator import cuda_source
 
+LIBRARY = libraries.INTEGRATION  # launches the kernel
 AGREEMENT = 1e-9  # relative difference of derivatives: far above rounding
 
 
@@ -25,9 +27,7 @@ class Kernel:
     dynamics: Dynamics
     derivative: TapedFunction
     """Of the state, by state and controls."""
-    cubin: bytes
-    threads: int
-    """That integrate one trajectory together."""
+    compiled: launch.Kernel
     samples: int
     """Points an interval."""
 
@@ -42,11 +42,8 @@ class Kernel:
         intervals, n = dilation.shape[0] - 1, start.shape[0]
         w = jnp.concatenate([start, control.ravel(), dilation])[None]
         shapes = (1, intervals, self.samples, n), (1, intervals, n)
-        constants = launch.hoisted_constants(self.derivative)
-        states, derivatives = (
-            v[0]
-            for v in launch.call(self.cubin, w, constants, shapes, self.threads, cuda_source.BLOCK_THREADS)
-        )
+        constants = hoisted_constants(self.derivative)
+        states, derivatives = (v[0] for v in self.compiled(w, constants, shapes=shapes))
         expected = (
             jax.vmap(lambda x, u: self.dynamics(x, u, 0.0))(states[:, 0], control[:-1])
             * dilation[:-1, None]
@@ -66,7 +63,7 @@ def kernel_for(
 ) -> Kernel | None:
     """The kernel for JAX's default device; None if it is no GPU or the dynamics have no kernel."""
     here = cuda.capability()
-    if here is None or not launch.available() or not libraries.in_float64((start, control)):
+    if here is None or not launch.available(LIBRARY) or not libraries.in_float64((start, control)):
         return None
     try:
         derivative = record(dynamics)
@@ -74,7 +71,10 @@ def kernel_for(
         return None
     text = cuda_source.kernel(derivative, control.shape[0] - 1, samples)
     cubin = launch.cubin(text, here, "the verifier's integration")
-    return None if cubin is None else Kernel(dynamics, derivative, cubin, cuda_source.WARP, samples)
+    if cubin is None:
+        return None
+    compiled = launch.Kernel(LIBRARY.on_gpu, cubin, cuda_source.WARP, cuda_source.BLOCK_THREADS)
+    return Kernel(dynamics, derivative, compiled, samples)
 
 
 def record(dynamics: Dynamics) -> TapedFunction:

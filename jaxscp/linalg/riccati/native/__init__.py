@@ -1,9 +1,11 @@
-"""Riccati recursion in C++, compiled for this machine.
+"""Riccati recursion in C++, compiled for this machine, and in CUDA.
 
 In the order in which the files build on each other (``backends/native/dense.h`` has the products):
 
     recursion.h   factorisation and solution
-    handler.cc    XLA FFI handlers
+    handler.cc    XLA FFI handlers on a CPU
+    factor.cu, solve.cu   the same by a block of threads; ``gpu.py`` compiles them for the sizes of a problem
+    gpu_handler.cc        XLA FFI handler that launches them
 """
 
 import jax

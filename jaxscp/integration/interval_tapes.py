@@ -1,0 +1,96 @@
+"""Functions of intervals as tapes, and the flat arrays that compiled implementations read and write."""
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxscp.backends.codegen import functions
+from jaxscp.backends.codegen.functions import TapedFunction
+from jaxscp.integration.intervals import IntervalData, IntervalOutputs, Intervals, OutputGroup
+from jaxscp.integration.rate_tape import record_rate
+
+
+class IntervalTapes(NamedTuple):
+    """Functions of a problem as tapes."""
+
+    rate: TapedFunction
+    point: TapedFunction
+    ends: TapedFunction
+    margins: tuple[TapedFunction, ...]
+    """``subtract_margin`` of each output group, a function of the values that share a margin."""
+
+
+def record(intervals: Intervals, inputs: int, data: IntervalData, order: int) -> IntervalTapes:
+    """Tapes of all functions, with derivatives up to an order.
+
+    Args:
+        intervals: the integration.
+        inputs: size of w.
+        data: data of all intervals, for their shapes.
+        order: highest derivative.
+
+    Raises:
+        CannotTrace: if a function is not arithmetic alone.
+    """
+    n, points, outputs = intervals.states, intervals.points, intervals.path_outputs
+    of_point, point_tree = jax.tree.flatten(jax.tree.map(lambda v: v[0], data.point))
+    of_ends, ends_tree = jax.tree.flatten(jax.tree.map(lambda v: v[0], data.ends))
+
+    def at_point(a, *data):
+        return outputs.at_point(a[:n], a[n:], jax.tree.unflatten(point_tree, data))
+
+    def at_ends(w, *data):
+        return outputs.at_ends(w, jax.tree.unflatten(ends_tree, data))
+
+    def margin(group: OutputGroup):
+        def function(values, mask):
+            return jnp.ravel(group.subtract_margin(values.reshape(points, group.group_size), mask))
+
+        return functions.record(function, points * group.group_size, [data.margin_mask[0]], order)
+
+    return IntervalTapes(
+        record_rate(intervals, inputs, order),
+        functions.record(at_point, n + intervals.controls(inputs), of_point, order),
+        functions.record(at_ends, inputs, of_ends, order),
+        tuple(map(margin, outputs.groups)),
+    )
+
+
+def flat_shapes(intervals: Intervals, tapes: IntervalTapes, inputs: int) -> list[tuple[int, ...]]:
+    """Shapes of an interval's outputs side by side, of their Jacobian, and of the Hessian."""
+    rows = sum(_widths(intervals, tapes))
+    return [(rows,), (rows, inputs), (inputs, inputs)]
+
+
+def in_parts(intervals: Intervals, tapes: IntervalTapes, found: Sequence[Array]) -> tuple[Any, ...]:
+    """Outputs and their Jacobian in parts; the Hessian as it is.
+
+    Args:
+        intervals: the integration.
+        tapes: its functions.
+        found: arrays with ``flat_shapes``, intervals as the leading axis; the first one or more.
+    """
+    splits = np.cumsum(_widths(intervals, tapes))[:-1]
+
+    def split(flat: Array) -> IntervalOutputs:
+        end, cost, *points, ends = jnp.split(flat, splits, axis=1)
+        shaped = [p.reshape(flat.shape[0], intervals.points, -1, *flat.shape[2:]) for p in points]
+        return IntervalOutputs(end, cost[:, 0], tuple(shaped), ends)
+
+    return (*map(split, found[:2]), *found[2:])
+
+
+def _widths(intervals: Intervals, tapes: IntervalTapes) -> list[int]:
+    of_groups = [intervals.points * group.rows for group in intervals.path_outputs.groups]
+    return [intervals.states, 1, *of_groups, tapes.ends.values]
+
+
+def side_by_side(tree: Any) -> Float[Array, "intervals numbers"]:
+    """All leaves of a pytree as one row for each interval."""
+    leaves = jax.tree.leaves(tree)
+    return jnp.concatenate([v.reshape(v.shape[0], math.prod(v.shape[1:])) for v in leaves], axis=1)

@@ -1,0 +1,225 @@
+"""What a CUDA kernel of ``intervals.cu`` is compiled with: sizes, tableau, shared memory, and the problem's functions.
+
+A function is a struct with its values, the nonzero entries of its derivatives, and products with these sparse matrices.
+The products are written out, so that their operands are in registers.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+
+import numpy as np
+
+from jaxscp.backends.codegen.cuda_text import COMPARISONS, Numbers, Scope, hoisted_slots, literal, numbered
+from jaxscp.backends.codegen.functions import TapedFunction
+from jaxscp.integration.interval_tapes import IntervalTapes
+from jaxscp.integration.intervals import Intervals, OutputGroup
+
+WARP = 32
+NUMBER = 8  # bytes
+
+
+def threads(inputs: int) -> int:
+    """Threads of a block: one for each column, in whole warps."""
+    return -(-inputs // WARP) * WARP
+
+
+class Source:
+    """The text, and the size of the shared memory.
+
+    Args:
+        intervals: the integration.
+        tapes: its functions.
+        inputs: size of w.
+        order: highest derivative.
+    """
+
+    def __init__(self, intervals: Intervals, tapes: IntervalTapes, inputs: int, order: int) -> None:
+        self.intervals, self.tapes, self.inputs, self.order = intervals, tapes, inputs, order
+        groups = intervals.path_outputs.groups
+        self.groups = [_Group(g, f) for g, f in zip(groups, tapes.margins, strict=True)]
+        self.members = self._members()
+        self.text = "\n".join(self._lines()) + '\n#include "intervals.cu"\n'
+
+    @property
+    def shared(self) -> int:
+        """Bytes of the shared memory of a block."""
+        return NUMBER * sum(int(np.prod(shape)) for shape in self.members.values())
+
+    def _members(self) -> dict[str, tuple[int, ...]]:
+        """Arrays in shared memory: names and shapes. One that a lower order does not need has a single number."""
+        intervals, tapes = self.intervals, self.tapes
+        n, stages, points = intervals.states, intervals.method.stages, intervals.points
+        slopes, arguments, values = (
+            intervals.steps * stages,
+            tapes.rate.arguments,
+            points * tapes.point.values,
+        )
+        found = {
+            "arguments": (slopes, arguments),
+            "point_arguments": (points, arguments),
+            "values": (values,),
+            "state": (n + 1,),
+            "slopes": (stages, n + 1),
+        }
+        first_order = {
+            "entries": (stages, len(tapes.rate.jacobian)),
+            "point_entries": (points, len(tapes.point.jacobian)),
+            "ends_entries": (len(tapes.ends.jacobian),),
+            "margin_entries": (sum(g.instances * len(g.margin.jacobian) for g in self.groups),),
+            "slope_tangents": (stages, n + 1, self.inputs),
+            "value_tangents": (values, self.inputs),
+        }
+        second_order = {
+            "second": (stages, len(tapes.rate.hessian)),
+            "point_second": (points, len(tapes.point.hessian)),
+            "ends_second": (len(tapes.ends.hessian),),
+            "margin_second": (sum(g.instances * len(g.margin.hessian) for g in self.groups),),
+            "value_adjoints": (values,),
+            "slope_adjoints": (slopes, n + 1),
+            "stage_adjoints": (stages, n),
+            "state_adjoint": (n,),
+            "exchanged": (self.inputs, n),
+        }
+        for order, members in enumerate((first_order, second_order), start=1):
+            needed = self.order >= order
+            found |= {name: shape if needed else (1,) * len(shape) for name, shape in members.items()}
+        return {name: tuple(max(1, size) for size in shape) for name, shape in found.items()}
+
+    def _lines(self) -> Iterator[str]:
+        intervals, tapes, method = self.intervals, self.tapes, self.intervals.method
+        functions = {"Rate": tapes.rate, "Point": tapes.point, "Ends": tapes.ends}
+        functions |= {f"Margin{i}": group.margin for i, group in enumerate(self.groups)}
+        written, hoisted = [], 0
+        for name, function in functions.items():
+            struct = _Function(name, function, hoisted)
+            written.append("\n".join(struct.lines()))
+            hoisted += struct.hoisted
+        sizes = {
+            "Order": self.order,
+            "States": intervals.states,
+            "Controls": intervals.controls(self.inputs),
+            "Inputs": self.inputs,
+            "Steps": intervals.steps,
+            "StepsPerSubinterval": intervals.steps_per_subinterval,
+            "Stages": method.stages,
+            "Points": intervals.points,
+            "Threads": threads(self.inputs),
+            "PointData": tapes.point.data,
+            "EndsData": tapes.ends.data,
+            "Hoisted": hoisted,
+            "Shared": self.shared // NUMBER,
+        }
+        yield COMPARISONS
+        yield from (f"constexpr int k{name} = {value};" for name, value in sizes.items())
+        yield f"__constant__ double kC[kStages] = {{{_row(method.c)}}};"
+        yield f"__constant__ double kB[kStages] = {{{_row(method.b)}}};"
+        yield f"__constant__ double kA[kStages][kStages] = {{{', '.join(f'{{{_row(a)}}}' for a in method.a)}}};"
+        yield "struct Shared {"
+        for name, shape in self.members.items():
+            yield f"  double {name}{''.join(f'[{size}]' for size in shape)};"
+        yield "};"
+        yield from written
+        yield from self._group_lines()
+
+    def _group_lines(self) -> Iterator[str]:
+        """A struct for each group, and the loop over groups."""
+        first = entries = second = 0
+        for i, g in enumerate(self.groups):
+            numbers = {"Rows": g.rows, "Size": g.size, "Instances": g.instances, "First": first}
+            numbers |= {"EntriesAt": entries, "SecondAt": second}
+            constants = ", ".join(f"k{name} = {value}" for name, value in numbers.items())
+            yield f"struct Group{i} {{ using Margin = Margin{i}; static constexpr int {constants}; }};"
+            first += g.rows
+            entries += g.instances * len(g.margin.jacobian)
+            second += g.instances * len(g.margin.hessian)
+        calls = " ".join(f"act(Group{i}());" for i in range(len(self.groups)))
+        yield f"template <typename Act> inline void for_groups(Act act) {{ {calls} }}"
+
+
+class _Group:
+    """A group of rows and its margin."""
+
+    def __init__(self, group: OutputGroup, margin: TapedFunction) -> None:
+        self.rows, self.size, self.margin = group.rows, group.group_size, margin
+        self.instances = group.rows // group.group_size
+
+
+class _Function:
+    """Writer of a function's struct.
+
+    Args:
+        name: name of the struct.
+        function: the function.
+        at: index of the function's first hoisted constant.
+    """
+
+    def __init__(self, name: str, function: TapedFunction, at: int) -> None:
+        self.name, self.function = name, function
+        counts = [len(hoisted_slots(tape, function.inputs)) for tape in (function.first, function.second)]
+        self.begins, self.hoisted = [at, at + counts[0]], sum(counts)
+
+    def lines(self) -> Iterator[str]:
+        """Lines of the struct."""
+        f = self.function
+        yield f"struct {self.name} {{"
+        sizes = {"Arguments": f.arguments, "Values": f.values, "MostValues": max(1, f.values)}
+        sizes |= {"Entries": len(f.jacobian), "Second": len(f.hessian)}
+        yield from (f"  static constexpr int k{name} = {value};" for name, value in sizes.items())
+        yield from self.evaluation("values", 0, range(f.values))
+        yield from self.evaluation("jacobian", 0, range(f.values, f.values + len(f.jacobian)))
+        yield from self.evaluation("hessian", 1, range(len(f.hessian)))
+        entries = [(i, r, c) for i, (r, c) in enumerate(f.jacobian.tolist())]
+        yield from _product("times", entries)
+        yield from _product("transposed", [(i, c, r) for i, r, c in entries])
+        yield from _product("hessian_times", _both_triangles(f.hessian))
+        yield "};"
+
+    def evaluation(self, name: str, order: int, outputs: Sequence[int]) -> Iterator[str]:
+        """A function that writes some outputs of a tape."""
+        f, tape = self.function, (self.function.first, self.function.second)[order]
+        of_multipliers = "const double* y, " if order else ""
+        constants = "const double* d, const double* hoisted"
+        yield f"  static void {name}(const double* a, {of_multipliers}{constants}, double* to) {{"
+        inputs = [
+            *(f"a[{i}]" for i in range(f.arguments)),
+            *(f"y[{i}]" for i in range(f.values)),
+            *(f"d[{i}]" for i in range(f.data)),
+        ]
+        if outputs:
+            numbers = numbered(tape, f.inputs)
+            yield f"    hoisted += {self.begins[order]};"
+            scope = Scope(numbers, [f"in{i}" for i in range(f.inputs)], "v")
+            body = [line for output in outputs for line in scope.make(numbers.outputs[output])]
+            read = _inputs_read(numbers, [numbers.outputs[o] for o in outputs], f.inputs)
+            yield from (f"    const double in{i} = {inputs[i]};" for i in read)
+            yield from (f"    {line}" for line in body)
+            for i, output in enumerate(outputs):
+                yield f"    to[{i}] = {scope.names[numbers.outputs[output]]};"
+        yield "  }"
+
+
+def _inputs_read(numbers: Numbers, outputs: Sequence[int], inputs: int) -> list[int]:
+    """Inputs that some outputs depend on."""
+    seen, waiting = set(outputs), list(outputs)
+    while waiting:
+        _, operands = numbers.operations.get(waiting.pop(), (0, []))
+        waiting += [v for v in operands if v not in seen]
+        seen.update(operands)
+    return sorted(v for v in seen if v < inputs)
+
+
+def _both_triangles(lower: np.ndarray) -> list[tuple[int, int, int]]:
+    """(entry, row, column) of a symmetric matrix, from the positions in its lower triangle."""
+    entries = [(i, r, c) for i, (r, c) in enumerate(lower.tolist())]
+    return entries + [(i, c, r) for i, r, c in entries if r != c]
+
+
+def _product(name: str, entries: Iterable[tuple[int, int, int]]) -> Iterator[str]:
+    """A function: to += matrix * from, for a sparse matrix with (entry, row, column)."""
+    yield "  template <class From, class To>"
+    yield f"  static void {name}(const double* e, const From& from, To& to) {{"
+    yield from (f"    to[{r}] = fma(e[{i}], from[{c}], to[{r}]);" for i, r, c in entries)
+    yield "  }"
+
+
+def _row(numbers: np.ndarray) -> str:
+    return ", ".join(map(literal, numbers.tolist()))
