@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 from jaxscp.problem.node_values import typical_sizes
 from jaxscp.scp import mesh
 from jaxscp.transcription.interval_inputs import integration_inputs
-from jaxscp.transcription.shooting import Grid, evaluate
+from jaxscp.transcription.shooting import Grid, evaluate, linearise
 from tests.support.flights import NODES, random_nodes, short_problem
 
 PROBLEM, GRID = short_problem(), Grid(3)
@@ -34,19 +34,54 @@ def scipy_ends(z):
     return np.array(ends)
 
 
+def transition(z, grid=GRID):
+    """Derivative of every interval's end by its first state."""
+    return linearise(PROBLEM, z, grid).jacobian.end[:, :, : PROBLEM.state_size]
+
+
 @pytest.mark.parametrize("seed", [0, 1])
-def test_bounded_intervals_are_those_that_the_fixed_steps_integrate_badly(seed):
+def test_bounded_intervals_are_those_whose_errors_are_large_at_some_node(seed):
     z = turning(seed, 1.0)
-    errors = (np.asarray(evaluate(PROBLEM, z, GRID).end) - scipy_ends(z)) / np.asarray(typical_sizes(z))[:13]
-    bad = np.linalg.norm(errors, axis=1) > mesh.ACCURACY
+    errors = jnp.asarray(np.asarray(evaluate(PROBLEM, z, GRID).end) - scipy_ends(z))
+    parts = np.asarray(mesh.carried_along(transition(z), errors) / typical_sizes(z)[:13])
+    worst = np.linalg.norm(parts, axis=2).max(axis=0)
+    bad = worst > mesh._level(jnp.asarray(worst))
     assert bad.sum() > 0
     at_nodes = np.append(bad, False) | np.append(False, bad)
     np.testing.assert_array_equal(np.isfinite(mesh.bounds(PROBLEM, z, GRID)), at_nodes)
 
 
-def test_intervals_within_their_bounds_are_accurate():
+def test_one_long_interval_is_free_while_the_flight_is_accurate_and_bounded_alone_where_it_is_not():
+    z = turning(1, 0.3)
+    for dilation, expected in ((1.0, []), (3.0, [3])):
+        found = mesh.bounds(PROBLEM, z.at[3, -1].set(dilation), GRID)
+        assert np.all(np.isin(expected, np.flatnonzero(np.isfinite(found))))
+        assert np.isfinite(found).sum() <= 3 * len(expected), "of its two intervals at most"
+
+
+def test_parts_of_the_intervals_add_up_to_the_error_of_the_flight():
+    """The flight of a plan's controls by coarse steps, and the same by fine ones."""
+    n, fine = PROBLEM.state_size, Grid(3, steps=8)
+    coarse = exact = turning(0, 0.5)
+    for i in range(NODES - 1):
+        coarse = coarse.at[i + 1, :n].set(evaluate(PROBLEM, coarse, GRID).end[i])
+        exact = exact.at[i + 1, :n].set(evaluate(PROBLEM, exact, fine).end[i])
+    errors = evaluate(PROBLEM, coarse, GRID).end - evaluate(PROBLEM, coarse, fine).end
+    missed = np.asarray(coarse - exact)[1:, :n]
+    found = jnp.sum(mesh.carried_along(transition(coarse), errors), axis=1)
+    np.testing.assert_allclose(found, missed, atol=1e-2 * np.abs(missed).max())  # to first order
+
+
+def test_parts_brought_down_to_the_level_sum_to_the_accuracy():
+    parts = mesh.ACCURACY * jnp.array([0.01, 3.0, 0.2, 0.0, 0.7])
+    lowered = jnp.minimum(parts, mesh._level(parts))
+    np.testing.assert_allclose(jnp.sum(lowered), mesh.ACCURACY)
+    np.testing.assert_array_equal(lowered == parts, [True, False, True, True, False])
+
+
+def test_a_flight_within_its_bounds_is_accurate():
     z = turning(2, 1.5)
-    for _ in range(4):
+    for _ in range(6):
         z = z.at[:, -1].min(mesh.bounds(PROBLEM, z, GRID))
     assert np.all(np.isinf(mesh.bounds(PROBLEM, z, GRID)))
     assert z.shape[0] == NODES
