@@ -1,8 +1,8 @@
 """Outputs of intervals, their Jacobian and the Hessian of their weighted sum, by the fastest implementation.
 
-Functions that are arithmetic alone become tapes. C++ evaluates them on a CPU if the library was compiled, and kernels do
-on an NVIDIA GPU. Without path outputs, other devices take the Jacobian from the tape in JAX. JAX differentiates its own
-implementation in place of these functions.
+Functions that are arithmetic alone become tapes. C++ evaluates them on a CPU if the library was compiled, and kernels
+evaluate them on an NVIDIA GPU. Without path outputs, other devices take the Jacobian from the tape in JAX. JAX
+differentiates its own implementation in place of these functions.
 """
 
 import contextlib

@@ -15,28 +15,13 @@ from jaxscp.backends import libraries
 from jaxscp.backends.codegen import tape
 from jaxscp.backends.codegen.functions import TapedFunction
 from jaxscp.integration import native
-from jaxscp.integration.interval_tapes import IntervalTapes, flat_shapes, in_parts, side_by_side
+from jaxscp.integration.interval_tapes import IntervalTapes, first_inputs, flat_shapes, in_parts, side_by_side
 from jaxscp.integration.intervals import IntervalData, IntervalOutputs, Intervals
 
 
 def supports(w: Array) -> bool:
     """Whether the C++ can integrate intervals of these variables."""
     return libraries.in_float64(w) and native.LIBRARY.available()
-
-
-def first_inputs(jacobian: np.ndarray, states: int, inputs: int) -> np.ndarray:
-    """First entry of w that each row of the path can depend on; all later entries count as nonzero, too.
-
-    Args:
-        jacobian: (entries, 2), nonzero entries of the rate's Jacobian.
-        states: size of the state.
-        inputs: size of w.
-    """
-    first = np.array([*range(states), inputs])
-    for _ in range(states + 1):
-        for row, column in jacobian:
-            first[row] = min(first[row], first[column] if column < states else column)
-    return first.astype(np.int32)
 
 
 class _Writer:

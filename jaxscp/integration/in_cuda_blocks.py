@@ -1,7 +1,7 @@
 """Integration by a CUDA block an interval, for float64: with path outputs, and with derivatives up to the second.
 
-In JAX, second derivatives are thousands of small operations, each of which reads and writes numbers of all intervals. In
-one kernel, tangents and Hessian stay in registers and shared memory.
+In JAX, second derivatives are thousands of small operations, each of which reads and writes all intervals. In one
+kernel, tangents and Hessian stay in registers and shared memory.
 """
 
 from collections.abc import Callable

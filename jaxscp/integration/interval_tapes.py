@@ -61,6 +61,21 @@ def record(intervals: Intervals, inputs: int, data: IntervalData, order: int) ->
     )
 
 
+def first_inputs(jacobian: np.ndarray, states: int, inputs: int) -> np.ndarray:
+    """First entry of w that each row of the path can depend on; all later entries count as nonzero, too.
+
+    Args:
+        jacobian: (entries, 2), nonzero entries of the rate's Jacobian.
+        states: size of the state.
+        inputs: size of w.
+    """
+    first = np.array([*range(states), inputs])
+    for _ in range(states + 1):
+        for row, column in jacobian:
+            first[row] = min(first[row], first[column] if column < states else column)
+    return first.astype(np.int32)
+
+
 def flat_shapes(intervals: Intervals, tapes: IntervalTapes, inputs: int) -> list[tuple[int, ...]]:
     """Shapes of an interval's outputs side by side, of their Jacobian, and of the Hessian."""
     rows = sum(_widths(intervals, tapes))

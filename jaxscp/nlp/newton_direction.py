@@ -1,7 +1,6 @@
 """A Newton direction of the interior point, and the inertia correction that makes its matrix definite."""
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -104,16 +103,5 @@ def factor_definite(matrix: riccati.LQProblem, last: Scalar) -> tuple[riccati.Fa
         last: nonzero correction of an earlier iterate; zero if there was none.
     """
 
-    def retry(carry):
-        _, _, after = carry
-        larger = jax.lax.select(after > 0, GROWTH * after, least)
-        return riccati.factor(matrix.shifted(after)), after, larger
-
-    def fails(carry):
-        factor, correction, _ = carry
-        return ~factor.definite & (correction < MOST_CORRECTION)
-
-    none = jnp.zeros_like(last)
     least = jnp.where(last > 0, jnp.maximum(LEAST_CORRECTION, last / SHRINKAGE), FIRST_CORRECTION)
-    factor, used, _ = jax.lax.while_loop(fails, retry, (riccati.no_factor(matrix), none, none))
-    return factor, used
+    return riccati.factor_shifted(matrix, least, riccati.Shifts(GROWTH, MOST_CORRECTION))

@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxscp.backends import libraries
 from jaxscp.backends.codegen import functions
-from jaxscp.integration import in_cpp, native
+from jaxscp.integration import interval_tapes, native
 from tests.support.interval_problems import RATES
 
 SOURCES = Path(native.__file__).parent
@@ -31,7 +31,7 @@ def test_entries_of_a_rigid_body_are_the_structure_of_its_equations():
     assert (0, 3) in entries
     assert (0, 4) not in entries
     assert all(row >= column for row, column in found[0].hessian)
-    first = in_cpp.first_inputs(found[0].jacobian, states, states + 2 * controls)
+    first = interval_tapes.first_inputs(found[0].jacobian, states, states + 2 * controls)
     np.testing.assert_array_equal(first, [0, 1, 2, 3, 4, 5, *[6] * 4, *[10] * 3, 13])
 
 

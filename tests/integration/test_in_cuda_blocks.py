@@ -52,7 +52,7 @@ def test_kernel_equals_jax(rate, function, tmp_path):
     assert_same(expected, jax.jit(emulated(tmp_path, order))(*case))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @needs_compiler
 def test_kernel_equals_dispatch_on_a_landing(tmp_path):
     problem = short_problem(everything=True)
@@ -70,7 +70,7 @@ def test_kernel_equals_dispatch_on_a_landing(tmp_path):
     np.testing.assert_array_equal(found[2], jnp.swapaxes(found[2], 1, 2))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @needs_compiler
 def test_more_columns_than_a_warp_has(tmp_path):
     class Chain(eqx.Module):

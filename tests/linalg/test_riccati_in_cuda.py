@@ -9,11 +9,12 @@ import pytest
 
 from jaxscp.backends import launch
 from jaxscp.linalg import riccati
-from jaxscp.linalg.riccati import in_jax
+from jaxscp.linalg.riccati import in_jax, recursion
 from jaxscp.linalg.riccati.native import gpu
 from tests.linalg.test_riccati import random_lq, random_vector
 from tests.support.kernels import as_on_a_gpu, compiled, handler, needs_compiler, needs_nvidia
 
+SHIFTS = riccati.Shifts(growth=8.0, most=1e4)
 ROUNDING, UNREFINED = 1e-9, 1e-7  # relative; without refinement, penalties raise the condition number
 
 
@@ -29,6 +30,7 @@ def emulated(tmp_path, monkeypatch):
     monkeypatch.setattr(launch, "cubin", cubin)
     monkeypatch.setattr(gpu, "LIBRARY", gpu.LIBRARY._replace(on_gpu=handler()))
     monkeypatch.setattr(gpu.cuda, "capability", lambda: "90")
+    monkeypatch.setattr(gpu, "supports", lambda _: False)  # what is expected comes from JAX and C++
 
 
 def assert_close(expected, found, tolerance=ROUNDING):
@@ -38,7 +40,7 @@ def assert_close(expected, found, tolerance=ROUNDING):
 
 @needs_compiler
 @pytest.mark.parametrize("convex", [True, False])
-@pytest.mark.parametrize("sizes", [(5, 4, 2), (3, 2, 1)])
+@pytest.mark.parametrize("sizes", [(5, 4, 2), (3, 2, 1), (2, 5, 2)])
 def test_kernels_equal_jax(convex, sizes, emulated):
     """A batch of two, factored and solved; the last solution has no refinement."""
     problems = [random_lq(seed, convex, *sizes) for seed in (0, 1)]
@@ -60,12 +62,29 @@ def test_a_saddle_is_not_definite_and_its_neighbour_is(emulated):
     assert np.array_equal(jax.vmap(lambda f: f.definite)(found), [False, True])
 
 
+@needs_compiler
+def test_each_problem_has_the_first_shift_that_suffices(emulated):
+    """A problem that needs none, one that needs several, and one of NaN, which no shift helps."""
+    problem = random_lq(0, True, states=3)
+    batch = jax.vmap(problem.shifted)(jnp.array([0.0, -30.0, jnp.nan]))
+    least = jnp.array([1e-4, 0.5, 1e-4])
+    by = lambda function: jax.vmap(functools.partial(function, shifts=SHIFTS))(batch, least)  # noqa: E731
+    (expected, shifts), (found, same) = by(recursion.factor_shifted), by(gpu.factor_shifted)
+    np.testing.assert_array_equal(shifts, same)
+    assert shifts[0] == 0.0
+    assert 1.0 < shifts[1] < SHIFTS.most
+    assert shifts[2] >= SHIFTS.most
+    assert np.array_equal(jax.vmap(lambda f: f.definite)(found), [True, True, False])
+    first_two = lambda tree: jax.tree.map(lambda v: v[:2], tree)  # noqa: E731
+    assert_close(first_two(expected), first_two(found))
+
+
 @needs_nvidia
 def test_kernels_compile():
     sizes = gpu.Sizes(random_lq(0, True))
-    found = gpu.kernels(sizes, "90", 3)
-    assert found is not None
-    assert all(kernel.cubin.startswith(b"\x7fELF") for kernel in found)
+    for kernel in (gpu.factor_kernel(sizes, "90", SHIFTS), gpu.solve_kernel(sizes, "90", 3)):
+        assert kernel is not None
+        assert kernel.cubin.startswith(b"\x7fELF")
 
 
 def test_a_gpu_runs_the_kernels_and_other_devices_do_not(monkeypatch):
@@ -75,7 +94,7 @@ def test_a_gpu_runs_the_kernels_and_other_devices_do_not(monkeypatch):
     as_on_a_gpu(monkeypatch)
 
     def calls(platform):
-        traced = jax.jit(riccati.factor).trace(problem)
+        traced = jax.jit(lambda problem: riccati.factor(problem)).trace(problem)
         return gpu.LIBRARY.on_gpu in traced.lower(lowering_platforms=(platform,)).as_text()
 
     assert calls("cuda")

@@ -1,4 +1,4 @@
-"""What a CUDA kernel of ``intervals.cu`` is compiled with: sizes, tableau, shared memory, and the problem's functions.
+"""The text before ``intervals.cu``: sizes, tableau, shared memory, and the functions of a problem.
 
 A function is a struct with its values, the nonzero entries of its derivatives, and products with these sparse matrices.
 The products are written out, so that their operands are in registers.
@@ -10,16 +10,16 @@ import numpy as np
 
 from jaxscp.backends.codegen.cuda_text import COMPARISONS, Numbers, Scope, hoisted_slots, literal, numbered
 from jaxscp.backends.codegen.functions import TapedFunction
-from jaxscp.integration.interval_tapes import IntervalTapes
+from jaxscp.integration.interval_tapes import IntervalTapes, first_inputs
 from jaxscp.integration.intervals import Intervals, OutputGroup
 
-WARP = 32
+WARP, HALVES = 32, 2
 NUMBER = 8  # bytes
 
 
 def threads(inputs: int) -> int:
-    """Threads of a block: one for each column, in whole warps."""
-    return -(-inputs // WARP) * WARP
+    """Threads of a block: two for each column, in whole warps."""
+    return HALVES * -(-inputs // WARP) * WARP
 
 
 class Source:
@@ -53,6 +53,7 @@ class Source:
             tapes.rate.arguments,
             points * tapes.point.values,
         )
+        of_halves = HALVES * -(-self.inputs // HALVES)
         found = {
             "arguments": (slopes, arguments),
             "point_arguments": (points, arguments),
@@ -66,7 +67,7 @@ class Source:
             "ends_entries": (len(tapes.ends.jacobian),),
             "margin_entries": (sum(g.instances * len(g.margin.jacobian) for g in self.groups),),
             "slope_tangents": (stages, n + 1, self.inputs),
-            "value_tangents": (values, self.inputs),
+            "value_tangents": (values, of_halves),
         }
         second_order = {
             "second": (stages, len(tapes.rate.hessian)),
@@ -77,7 +78,7 @@ class Source:
             "slope_adjoints": (slopes, n + 1),
             "stage_adjoints": (stages, n),
             "state_adjoint": (n,),
-            "exchanged": (self.inputs, n),
+            "exchanged": (of_halves, n),
         }
         for order, members in enumerate((first_order, second_order), start=1):
             needed = self.order >= order
@@ -117,6 +118,8 @@ class Source:
         for name, shape in self.members.items():
             yield f"  double {name}{''.join(f'[{size}]' for size in shape)};"
         yield "};"
+        first = first_inputs(tapes.rate.jacobian, intervals.states, self.inputs)
+        yield _table("int", "first_input", first.tolist())
         yield from written
         yield from self._group_lines()
 
@@ -170,7 +173,10 @@ class _Function:
         entries = [(i, r, c) for i, (r, c) in enumerate(f.jacobian.tolist())]
         yield from _product("times", entries)
         yield from _product("transposed", [(i, c, r) for i, r, c in entries])
-        yield from _product("hessian_times", _both_triangles(f.hessian))
+        both = _both_triangles(f.hessian)
+        yield from _product("hessian_times", both)
+        with_curvature = {r for _, r, _ in both}
+        yield "  static " + _table("bool", "curved", [int(r in with_curvature) for r in range(f.arguments)])
         yield "};"
 
     def evaluation(self, name: str, order: int, outputs: Sequence[int]) -> Iterator[str]:
@@ -219,6 +225,12 @@ def _product(name: str, entries: Iterable[tuple[int, int, int]]) -> Iterator[str
     yield f"  static void {name}(const double* e, const From& from, To& to) {{"
     yield from (f"    to[{r}] = fma(e[{i}], from[{c}], to[{r}]);" for i, r, c in entries)
     yield "  }"
+
+
+def _table(kind: str, name: str, entries: Sequence[int]) -> str:
+    """A function of an index; the compiler knows its value where it knows the index."""
+    listed = ", ".join(map(str, entries)) or "0"
+    return f"constexpr {kind} {name}(int i) {{ constexpr {kind} of[] = {{{listed}}}; return of[i]; }}"
 
 
 def _row(numbers: np.ndarray) -> str:

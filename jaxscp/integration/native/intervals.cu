@@ -2,9 +2,12 @@
 // ``forward.h``, ``adjoint.h`` and ``tangents.h``. ``interval_source.py`` writes what comes before this text: sizes,
 // tableau, the struct of the shared memory, and the functions of the problem with their sparse products.
 //
-// Each thread has one column of the tangents and of the Hessian, that of one input, in registers. Threads beyond the
-// last column repeat it. What does not depend on a column is computed by one thread for each slope, point or row.
+// Each column of the tangents and of the Hessian, that of one input, belongs to two threads, one in each half of the
+// block. Both have the column's tangents in registers, and every other row of the Hessian's column. Threads beyond the
+// last column repeat it. What does not depend on a column is computed by one thread for each slope, point or row, or
+// by the first warp.
 
+constexpr int kHalves = 2, kLanes = kThreads / kHalves, kRowsOfHalf = (kInputs + kHalves - 1) / kHalves, kWarp = 32;
 constexpr int kExtended = kStates + 1, kArguments = kStates + kControls;
 constexpr int kEndsBegin = kExtended + kPoints * Point::kValues;
 constexpr double kSize = 1.0 / kSteps;
@@ -69,10 +72,12 @@ inline void integrate(const Interval& at) {
       });
       write_controls(at, fraction_of(step, stage), arguments);
       __syncthreads();
-      double found[kExtended];
-      Rate::values(arguments, nullptr, at.hoisted, found);
-      if (threadIdx.x == 0)
-        for (int r = 0; r < kExtended; ++r) m.slopes[stage][r] = found[r];
+      if (threadIdx.x < kWarp) {
+        double found[kExtended];
+        Rate::values(arguments, nullptr, at.hoisted, found);
+        if (threadIdx.x == 0)
+          for (int r = 0; r < kExtended; ++r) m.slopes[stage][r] = found[r];
+      }
       __syncthreads();
     }
     by_threads(kExtended, [&](int r) {
@@ -125,10 +130,12 @@ inline void find_outputs(const Interval& at) {
 inline void add_point_adjoint(const Interval& at, int point) {
   Shared& m = at.m;
   __syncthreads();
-  double sums[kArguments] = {};
-  Point::transposed(m.point_entries[point], m.value_adjoints + point * Point::kValues, sums);
-  if (threadIdx.x == 0)
-    for (int r = 0; r < kStates; ++r) m.state_adjoint[r] += sums[r];
+  if (threadIdx.x < kWarp) {
+    double sums[kArguments] = {};
+    Point::transposed(m.point_entries[point], m.value_adjoints + point * Point::kValues, sums);
+    if (threadIdx.x == 0)
+      for (int r = 0; r < kStates; ++r) m.state_adjoint[r] += sums[r];
+  }
   __syncthreads();
 }
 
@@ -166,10 +173,12 @@ inline void find_adjoints(const Interval& at) {
         adjoints[r] = kSize * sum;
       });
       __syncthreads();
-      double sums[kArguments] = {};
-      Rate::transposed(m.entries[stage], adjoints, sums);
-      if (threadIdx.x == 0)
-        for (int r = 0; r < kStates; ++r) m.stage_adjoints[stage][r] = sums[r];
+      if (threadIdx.x < kWarp) {
+        double sums[kArguments] = {};
+        Rate::transposed(m.entries[stage], adjoints, sums);
+        if (threadIdx.x == 0)
+          for (int r = 0; r < kStates; ++r) m.stage_adjoints[stage][r] = sums[r];
+      }
       __syncthreads();
     }
     by_threads(kStates, [&](int r) {
@@ -182,10 +191,17 @@ inline void find_adjoints(const Interval& at) {
 
 // ---- Tangents ----
 
-// A thread's column: tangents of the path, and the Hessian's entries.
+// A thread's column: tangents of the path, and the half's rows of the Hessian.
 struct Column {
-  int input;
-  double path[kExtended] = {}, hessian[kOrder > 1 ? kInputs : 1] = {};
+  int input, half;
+  double path[kExtended] = {}, hessian[kRowsOfHalf] = {};
+
+  int row(int k) const { return kHalves * k + half; }  // of the k-th entry of ``hessian``
+
+  // Adds to a row of the Hessian, if the half has it.
+  void add(int i, double number) {
+    if (i % kHalves == half) hessian[i / kHalves] += number;
+  }
 
   // Tangents of the controls at a fraction of the interval, after those of the states.
   void set_controls(double fraction, double (&tangent)[kArguments]) const {
@@ -206,13 +222,15 @@ struct Column {
     for (int r = 0; r < kStates; ++r) m.exchanged[input][r] = tangent[r];
     __syncthreads();
 #pragma unroll
-    for (int i = 0; i < kInputs; ++i)
+    for (int k = 0; k < kRowsOfHalf; ++k)
 #pragma unroll
-      for (int r = 0; r < kStates; ++r) hessian[i] = fma(m.exchanged[i][r], product[r], hessian[i]);
+      for (int r = 0; r < kStates; ++r)  // a row of the tangents is zero before its first input
+        if (F::curved(r) && kHalves * k + kHalves > first_input(r))
+          hessian[k] = fma(m.exchanged[row(k)][r], product[r], hessian[k]);
 #pragma unroll
     for (int k = 0; k < kControls; ++k) {
-      hessian[kStates + k] = fma(1.0 - fraction, product[kStates + k], hessian[kStates + k]);
-      hessian[kStates + kControls + k] = fma(fraction, product[kStates + k], hessian[kStates + kControls + k]);
+      add(kStates + k, (1.0 - fraction) * product[kStates + k]);
+      add(kStates + kControls + k, fraction * product[kStates + k]);
     }
   }
 
@@ -253,12 +271,12 @@ struct Column {
 #pragma unroll 1
     for (int step = 0; step < kSteps; ++step) {
       __syncthreads();
-      by_threads(kStages, [&](int stage) {
+      for (int stage = threadIdx.x % kLanes; stage < kStages; stage += kLanes) {
         const int slope = step * kStages + stage;
-        Rate::jacobian(m.arguments[slope], nullptr, at.hoisted, m.entries[stage]);
-        if constexpr (kOrder > 1)
+        if (half == 0) Rate::jacobian(m.arguments[slope], nullptr, at.hoisted, m.entries[stage]);
+        if (kOrder > 1 && half == 1)
           Rate::hessian(m.arguments[slope], m.slope_adjoints[slope], nullptr, at.hoisted, m.second[stage]);
-      });
+      }
       __syncthreads();
 #pragma unroll 1
       for (int stage = 0; stage < kStages; ++stage) evaluate_stage(m, step, stage);
@@ -292,8 +310,8 @@ struct Column {
 #pragma unroll
           for (int e = 0; e < Margin::kArguments; ++e)
 #pragma unroll
-            for (int i = 0; i < kInputs; ++i)
-              hessian[i] = fma(m.value_tangents[value_of<Group>(k, e)][i], product[e], hessian[i]);
+            for (int i = 0; i < kRowsOfHalf; ++i)
+              hessian[i] = fma(m.value_tangents[value_of<Group>(k, e)][row(i)], product[e], hessian[i]);
         }
       }
     });
@@ -306,7 +324,19 @@ struct Column {
     Ends::times(at.m.ends_entries, unit, found);
 #pragma unroll
     for (int v = 0; v < Ends::kValues; ++v) at.jacobian[(kEndsBegin + v) * kInputs + input] = found[v];
-    if constexpr (kOrder > 1) Ends::hessian_times(at.m.ends_second, unit, hessian);
+    if constexpr (kOrder > 1) {
+      double product[kInputs] = {};
+      Ends::hessian_times(at.m.ends_second, unit, product);
+#pragma unroll
+      for (int i = 0; i < kInputs; ++i) add(i, product[i]);
+    }
+  }
+
+  // The column's part of the symmetric Hessian.
+  void write_hessian(double* to) const {
+#pragma unroll
+    for (int k = 0; k < kRowsOfHalf; ++k)
+      if (const int i = row(k); i <= input) to[i * kInputs + input] = to[input * kInputs + i] = hessian[k];
   }
 };
 
@@ -331,15 +361,11 @@ extern "C" __global__ void __launch_bounds__(kThreads)
   find_outputs(at);
   if constexpr (kOrder > 1) find_adjoints(at);
   if constexpr (kOrder > 0) {
-    Column column{static_cast<int>(threadIdx.x) < kInputs ? static_cast<int>(threadIdx.x) : kInputs - 1};
+    const int lane = threadIdx.x % kLanes;
+    Column column{lane < kInputs ? lane : kInputs - 1, static_cast<int>(threadIdx.x) / kLanes};
     column.integrate(at);
     column.subtract_margins(at);
     column.evaluate_ends(at);
-    if constexpr (kOrder > 1) {
-#pragma unroll
-      for (int k = 0; k < kInputs; ++k)
-        if (k <= column.input)
-          at.hessian[k * kInputs + column.input] = at.hessian[column.input * kInputs + k] = column.hessian[k];
-    }
+    if constexpr (kOrder > 1) column.write_hessian(at.hessian);
   }
 }

@@ -5,7 +5,17 @@ that the dynamics leave free, the second-order condition of a strict minimum. (A
 ``conic.kkt``, needs every block convex.) Conditions at both ends enter as penalties; refinement makes them exact.
 """
 
-from jaxscp.linalg.riccati.recursion import factor, solve
-from jaxscp.linalg.riccati.system import Factor, KKTVector, LQProblem, apply, no_factor
+from jaxscp.linalg.riccati.recursion import factor, factor_shifted, solve
+from jaxscp.linalg.riccati.system import Factor, KKTVector, LQProblem, Shifts, apply, no_factor
 
-__all__ = ["Factor", "KKTVector", "LQProblem", "apply", "factor", "no_factor", "solve"]
+__all__ = [
+    "Factor",
+    "KKTVector",
+    "LQProblem",
+    "Shifts",
+    "apply",
+    "factor",
+    "factor_shifted",
+    "no_factor",
+    "solve",
+]

@@ -6,6 +6,8 @@
 with X = (x, U) the variables of a node: state, and controls with their dilation.
 """
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -33,6 +35,15 @@ class LQProblem(eqx.Module):
         of_last = shift * jnp.eye(self.last.shape[-1], dtype=self.last.dtype)
         both = (self.hessian + of_intervals, self.last + of_last)
         return eqx.tree_at(lambda c: (c.hessian, c.last), self, both)
+
+
+class Shifts(NamedTuple):
+    """Multiples of the identity that are added to the Hessian, one after another, until the matrix is definite."""
+
+    growth: float
+    """From one shift to the next."""
+    most: float
+    """After a shift as large as this, there is no other."""
 
 
 class KKTVector(eqx.Module):

@@ -3,16 +3,20 @@
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 
 from jaxscp.backends import cuda, launch, libraries
+from jaxscp.core.types import Scalar
 from jaxscp.linalg.riccati.in_jax import PENALTY
-from jaxscp.linalg.riccati.system import Factor, KKTVector, LQProblem, no_factor
+from jaxscp.linalg.riccati.system import Factor, KKTVector, LQProblem, Shifts, no_factor
 
 LIBRARY = libraries.RICCATI
 FOLDER = Path(__file__).parent
-FACTOR_THREADS, SOLVE_THREADS = 256, 128  # of a block
+FACTOR_THREADS, SOLVE_THREADS = 160, 128  # of a block; a tile of the factorisation for each thread
 STATIC = 48 * 1024  # bytes of shared memory that a kernel can have without asking
 NUMBER = 8  # bytes
+NO_SHIFTS = Shifts(growth=1.0, most=0.0)
+UNAVAILABLE = "jaxscp: no GPU here that the Riccati recursion's kernels run on"
 
 
 class Sizes:
@@ -26,8 +30,9 @@ class Sizes:
     @property
     def of_factor(self) -> int:
         """Bytes of shared memory for the factorisation."""
-        own = self.stage**2 + self.inputs**2 + (self.states + self.stage) * self.inputs
-        return NUMBER * (own + self.controls * self.inputs)
+        stage, inputs = self.stage + self.stage % 2, self.inputs + self.inputs % 2
+        own = stage**2 + inputs**2 + (self.states + stage) * inputs
+        return NUMBER * (own + self.controls * stage + 1)
 
     @property
     def of_solve(self) -> int:
@@ -53,41 +58,60 @@ def supports(problem: LQProblem) -> bool:
         and sizes.inputs <= SOLVE_THREADS
         and sizes.of_factor <= STATIC
         and sizes.of_solve <= cuda.shared_memory(capability)
-        and kernels(sizes, capability, 0) is not None
+        and factor_kernel(sizes, capability, NO_SHIFTS) is not None
+        and solve_kernel(sizes, capability, 0) is not None
     )
 
 
-def kernels(sizes: Sizes, capability: str, refinements: int) -> tuple[launch.Kernel, launch.Kernel] | None:
-    """Kernels of the factorisation and of a solution; None if they do not compile."""
-    found = []
-    for name, threads, shared in (("factor", FACTOR_THREADS, 0), ("solve", SOLVE_THREADS, sizes.of_solve)):
-        macros = sizes.macros(threads) | {"JAXSCP_REFINEMENTS": refinements}
-        text = (FOLDER / f"{name}.cu").read_text()
-        cubin = launch.cubin(text, capability, "the Riccati recursion", (FOLDER,), **macros)
-        if cubin is None:
-            return None
-        found.append(launch.Kernel(LIBRARY.on_gpu, cubin, threads, threads, axes=3, shared=shared))
-    return found[0], found[1]
+def factor_kernel(sizes: Sizes, capability: str, shifts: Shifts) -> launch.Kernel | None:
+    """Kernel of the factorisation; None if it does not compile."""
+    macros: dict[str, object] = {"JAXSCP_GROWTH": repr(shifts.growth), "JAXSCP_MOST": repr(shifts.most)}
+    return _kernel("factor", FACTOR_THREADS, 0, sizes, capability, macros)
+
+
+def solve_kernel(sizes: Sizes, capability: str, refinements: int) -> launch.Kernel | None:
+    """Kernel of a solution; None if it does not compile."""
+    macros: dict[str, object] = {"JAXSCP_REFINEMENTS": refinements}
+    return _kernel("solve", SOLVE_THREADS, sizes.of_solve, sizes, capability, macros)
+
+
+def _kernel(
+    name: str, threads: int, shared: int, sizes: Sizes, capability: str, macros: dict[str, object]
+) -> launch.Kernel | None:
+    text, all_macros = (FOLDER / f"{name}.cu").read_text(), sizes.macros(threads) | macros
+    cubin = launch.cubin(text, capability, "the Riccati recursion", (FOLDER,), **all_macros)
+    if cubin is None:
+        return None
+    return launch.Kernel(LIBRARY.on_gpu, cubin, threads, threads, axes=3, shared=shared)
 
 
 def factor(problem: LQProblem) -> Factor:
     """``in_jax.factor``, equal to rounding."""
-    kernel, _ = _kernels(problem, 0)
+    return factor_shifted(problem, jnp.zeros((), problem.flow.dtype), NO_SHIFTS)[0]
+
+
+def factor_shifted(problem: LQProblem, least: Scalar, shifts: Shifts) -> tuple[Factor, Scalar]:
+    """``recursion.factor_shifted``; a problem that is definite does not wait for others of its batch."""
+    kernel = factor_kernel(Sizes(problem), _capability(), shifts)
+    if kernel is None:
+        raise RuntimeError(UNAVAILABLE)
     like = jax.eval_shape(no_factor, problem)
-    shapes = [v.shape for v in (like.value, like.lower, like.gain, like.first)]
-    return Factor(problem, *kernel(*jax.tree.leaves(problem), shapes=shapes))
+    shapes = [v.shape for v in (like.value, like.lower, like.gain, like.first, least)]
+    *found, shift = kernel(*jax.tree.leaves(problem), least, shapes=shapes)
+    return Factor(problem.shifted(shift), *found), shift
 
 
 def solve(factor: Factor, right: KKTVector, refinements: int) -> KKTVector:
     """``in_jax.solve``, equal to rounding."""
-    _, kernel = _kernels(factor.problem, refinements)
+    kernel = solve_kernel(Sizes(factor.problem), _capability(), refinements)
+    if kernel is None:
+        raise RuntimeError(UNAVAILABLE)
     shapes = [v.shape for v in jax.tree.leaves(right)]
     return KKTVector(*kernel(*jax.tree.leaves((factor, right)), shapes=shapes))
 
 
-def _kernels(problem: LQProblem, refinements: int) -> tuple[launch.Kernel, launch.Kernel]:
+def _capability() -> str:
     capability = cuda.capability()
-    found = None if capability is None else kernels(Sizes(problem), capability, refinements)
-    if found is None:
-        raise RuntimeError("jaxscp: no GPU here that the Riccati recursion's kernels run on")
-    return found
+    if capability is None:
+        raise RuntimeError(UNAVAILABLE)
+    return capability
