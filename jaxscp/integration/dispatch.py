@@ -150,9 +150,6 @@ def _by_blocks(intervals: Intervals, w: Array, record: Record, order: int) -> Ca
         return None
     kernel = in_cuda_blocks.kernel(intervals, tapes, w.shape[-1], order, capability)
     if kernel is None:
-        warn_slow(
-            "an interval of this problem is too large for a CUDA kernel; JAX integrates it, and is slower"
-        )
         return None
     return lambda w, data, multipliers=None: in_cuda_blocks.integrate(
         intervals, tapes, kernel, w, data, multipliers, order

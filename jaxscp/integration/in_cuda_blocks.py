@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 
 from jaxscp.backends import cuda, launch, libraries
 from jaxscp.backends.codegen.hoisted import hoisted_constants
+from jaxscp.backends.serving import warn_slow
 from jaxscp.integration import native
 from jaxscp.integration.interval_tapes import IntervalTapes, flat_shapes, in_parts, side_by_side
 from jaxscp.integration.intervals import IntervalData, IntervalOutputs, Intervals
@@ -27,7 +28,7 @@ def supports(w: Array) -> bool:
 def kernel(
     intervals: Intervals, tapes: IntervalTapes, inputs: int, order: int, capability: str
 ) -> launch.Kernel | None:
-    """Compiled kernel; None if an interval does not fit in shared memory, or the kernel does not compile.
+    """Compiled kernel; None and a warning if an interval does not fit in shared memory, or it does not compile.
 
     Args:
         intervals: the integration.
@@ -37,7 +38,11 @@ def kernel(
         capability: compute capability of the GPU.
     """
     source = interval_source.Source(intervals, tapes, inputs, order)
-    if source.shared > cuda.shared_memory(capability):
+    if source.shared > (most := cuda.shared_memory(capability)):
+        warn_slow(
+            f"an interval of this problem needs {source.shared} bytes of a GPU's shared memory, of which a block has "
+            f"{most}; JAX integrates it, and is slower"
+        )
         return None
     folders = (Path(native.__file__).parent,)
     cubin = launch.cubin(source.text, capability, "the integration", folders)

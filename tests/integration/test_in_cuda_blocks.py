@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from jaxscp.backends import cuda, launch
+from jaxscp.backends.serving import PerformanceWarning
 from jaxscp.integration import (
     dispatch,
     in_cuda_blocks,
@@ -121,7 +122,8 @@ def test_an_interval_too_large_for_shared_memory_has_no_kernel(monkeypatch):
     intervals, w, data = random_case(*RATES["no parameters"], tableaus.CLASSICAL, order=1)
     tapes = interval_tapes.record(intervals, w.shape[1], data, 0)
     monkeypatch.setattr(cuda, "shared_memory", lambda _: 100)
-    assert in_cuda_blocks.kernel(intervals, tapes, w.shape[1], 0, "90") is None
+    with pytest.warns(PerformanceWarning, match="bytes of a GPU's shared memory, of which a block has 100"):
+        assert in_cuda_blocks.kernel(intervals, tapes, w.shape[1], 0, "90") is None
 
 
 def test_a_gpu_runs_the_kernel_and_other_devices_do_not(monkeypatch):

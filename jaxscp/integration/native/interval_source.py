@@ -15,6 +15,8 @@ from jaxscp.integration.intervals import Intervals, OutputGroup
 
 WARP, HALVES = 32, 2
 NUMBER = 8  # bytes
+LOADED_IN_PAIRS = "entries", "point_entries", "second", "point_second", "exchanged", "value_tangents"
+"""Arrays whose rows have an even length, so that the compiler loads two numbers at once."""
 
 
 def threads(inputs: int) -> int:
@@ -42,7 +44,7 @@ class Source:
     @property
     def shared(self) -> int:
         """Bytes of the shared memory of a block."""
-        return NUMBER * sum(int(np.prod(shape)) for shape in self.members.values())
+        return NUMBER * sum(_even(int(np.prod(shape))) for shape in self.members.values())
 
     def _members(self) -> dict[str, tuple[int, ...]]:
         """Arrays in shared memory: names and shapes. One that a lower order does not need has a single number."""
@@ -83,7 +85,8 @@ class Source:
         for order, members in enumerate((first_order, second_order), start=1):
             needed = self.order >= order
             found |= {name: shape if needed else (1,) * len(shape) for name, shape in members.items()}
-        return {name: tuple(max(1, size) for size in shape) for name, shape in found.items()}
+        some = {name: tuple(max(1, size) for size in shape) for name, shape in found.items()}
+        return {name: (*v[:-1], _even(v[-1])) if name in LOADED_IN_PAIRS else v for name, v in some.items()}
 
     def _lines(self) -> Iterator[str]:
         intervals, tapes, method = self.intervals, self.tapes, self.intervals.method
@@ -116,7 +119,7 @@ class Source:
         yield f"__constant__ double kA[kStages][kStages] = {{{', '.join(f'{{{_row(a)}}}' for a in method.a)}}};"
         yield "struct Shared {"
         for name, shape in self.members.items():
-            yield f"  double {name}{''.join(f'[{size}]' for size in shape)};"
+            yield f"  alignas(16) double {name}{''.join(f'[{size}]' for size in shape)};"
         yield "};"
         first = first_inputs(tapes.rate.jacobian, intervals.states, self.inputs)
         yield _table("int", "first_input", first.tolist())
@@ -201,6 +204,10 @@ class _Function:
             for i, output in enumerate(outputs):
                 yield f"    to[{i}] = {scope.names[numbers.outputs[output]]};"
         yield "  }"
+
+
+def _even(count: int) -> int:
+    return count + count % 2
 
 
 def _inputs_read(numbers: Numbers, outputs: Sequence[int], inputs: int) -> list[int]:

@@ -346,9 +346,9 @@ extern "C" __global__ void __launch_bounds__(kThreads)
                   const double* __restrict__ multipliers, double* __restrict__ outputs, double* __restrict__ jacobian,
                   double* __restrict__ hessian, long long, long long intervals) {
 #if defined(JAXSCP_EMULATED_GPU)
-  static double memory[kShared];
+  alignas(16) static double memory[kShared];
 #else
-  extern __shared__ double memory[];
+  extern __shared__ double2 memory[];
 #endif
   constexpr int kOutputs = kEndsBegin + Ends::kValues;
   const long long i = blockIdx.x;
