@@ -22,7 +22,7 @@ from jaxscp.aot.recent import Recent
 from jaxscp.backends.xla import is_traced, options
 
 PACKAGE = __name__.partition(".")[0]
-CODE = (".py", ".so")
+CODE = (".py", ".so", ".h", ".cu", ".cuh")
 MOST = 16  # compiled planners of a process, the last ones called: each holds a thousand memory mappings
 CONFIGURATION = ("jax_enable_x64", "jax_default_matmul_precision", "jax_debug_nans", "jax_disable_jit")
 

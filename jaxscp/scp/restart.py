@@ -105,7 +105,9 @@ def restarted(
         another = left & ~_same(problem, planned, first) & (last.coarse | last.failed)
         needed = none_yet | (enabled & (refine | another))
         start = tree_where(refine, _refined(last), planned)
-        found = batching.where_needed(needed, from_start, (arrays, start, enabled), last)
+        found = batching.where_needed(
+            needed, from_start, (arrays, start, enabled), last, batching.CHUNK_AROUND_LOOPS
+        )
         taken = none_yet | (found.state.status == Status.converged)
         last = dataclasses.replace(last, improves=last.improves & ~(needed & refine))
         return (tree_where(taken, found, last), used + (~refine).astype(int)), None

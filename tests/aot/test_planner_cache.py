@@ -37,13 +37,14 @@ def test_a_change_in_any_room_changes_the_key(copy, room):
     assert digest(copy) == before
 
 
-def test_a_new_library_changes_the_key(copy):
+@pytest.mark.parametrize("name", ["interior_point_any.so", "layout.h", "kernel.cu", "sizes.cuh"])
+def test_a_new_library_or_a_kernels_text_changes_the_key(copy, name):
     before = digest(copy)
-    library = copy / "conic/native/interior_point_any.so"
-    library.parent.mkdir(exist_ok=True)
-    library.write_bytes(b"machine code")
+    file = copy / "conic/native" / name
+    file.parent.mkdir(exist_ok=True)
+    file.write_bytes(b"code")
     assert digest(copy) != before
-    library.unlink()
+    file.unlink()
 
 
 def test_the_key_is_of_the_whole_package():

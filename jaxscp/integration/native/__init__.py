@@ -1,4 +1,4 @@
-"""Integration in C++, compiled for this machine, and the text of the CUDA kernel.
+"""Integration in C++, compiled for this machine, and the texts of CUDA kernels.
 
 In the order in which the files build on each other:
 
@@ -10,7 +10,12 @@ In the order in which the files build on each other:
     adjoint.h           adjoints of slopes and points, from the multipliers of the outputs
     tangents.h          Jacobian, and Hessian of the weighted sum
     handler.cc          XLA FFI handler on a CPU
-    cuda_source.py      text of the CUDA kernel, from a tape; ``in_cuda.py`` compiles it
+    cuda_source.py      text of the kernel without path outputs, from a tape; ``in_cuda.py`` compiles it
+    interval_source.py  text before ``intervals.cu``, from tapes; ``in_cuda_blocks.py`` compiles both
+    interval.cuh        arrays of an interval, and the work of threads
+    interval_path.cuh, interval_adjoints.cuh, interval_columns.cuh
+                        the same as ``forward.h``, ``adjoint.h`` and ``tangents.h``, by a block of threads
+    intervals.cu        the kernel
     gpu_handler.cc      XLA FFI handler that launches kernels
 """
 
