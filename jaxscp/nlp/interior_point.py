@@ -4,7 +4,7 @@ Newton's method on the conditions of ``central_path`` with slacks s = g(z) and m
 Nesterov-Todd scaling. mu falls as the iterates follow the path (Waechter and Biegler, "On the implementation of an
 interior-point filter line-search algorithm for large-scale nonlinear programming", 2006). There is no line search: the
 convex subproblems lead near enough. Each iteration factors one matrix and uses second derivatives. So convergence is
-quadratic; the subproblems alone converge more slowly.
+quadratic; the subproblems alone converge more slowly. Steps that go to and fro are damped.
 
 Far from the optimum, second-order conditions are smooth inequalities of one number (``ratio_form``): in their cones
 the steps would be short. The last steps are in the cones, so that the solution is a point of their central path.
@@ -38,6 +38,7 @@ FRACTION_TO_BOUNDARY = 0.99  # of the way to the cone's boundary that a step may
 BARRIER_TOLERANCE_FACTOR, CAREFUL_FACTOR = 300.0, 10.0
 WHOLE = 0.9  # fraction of a step that counts as all of it
 MAX_STEP = 0.3  # largest step of a variable, in its typical size
+MUCH_OF_THE_WAY, LEAST_DAMPING = 0.5, 1.0 / 64.0  # of the last step that a step goes back; factor of a step
 IN_CONES = 1e-6  # KKT residual below which second-order conditions leave the ratio form
 
 
@@ -58,8 +59,10 @@ class Iterate(eqx.Module):
     """Whether the last step was whole, by a matrix without correction."""
     error: Scalar
     """KKT residual of the previous iterate, at the final mu and in the cones; infinite before that."""
-    step_norm: Scalar
-    """Largest change of a variable by the last step, in typical sizes."""
+    step: Float[Array, "nodes variables"]
+    """Change of the variables by the last step, in typical sizes."""
+    damping: Scalar
+    """Factor of the last step: one, or less where the iterates go to and fro."""
     steps: Count
     failed: Flag
     """Whether no step can be taken."""
@@ -110,7 +113,7 @@ class NLPInteriorPoint(eqx.Module):
 
     def terminate(self, iterate: Iterate) -> Flag:
         """Whether the loop is over."""
-        converged = self.is_optimum(iterate) & (iterate.step_norm <= self.step_tolerance)
+        converged = self.is_optimum(iterate) & (jnp.max(jnp.abs(iterate.step)) <= self.step_tolerance)
         return converged | iterate.failed | (iterate.steps >= self.max_steps)
 
     def init(
@@ -144,7 +147,8 @@ class NLPInteriorPoint(eqx.Module):
             inertia_correction=jnp.zeros_like(mu),
             regular=jnp.zeros((), bool),
             error=jnp.full_like(mu, jnp.inf),
-            step_norm=jnp.full_like(mu, jnp.inf),
+            step=jnp.zeros_like(z),
+            damping=jnp.ones_like(mu),
             steps=jnp.zeros((), int),
             failed=jnp.zeros((), bool),
         )
@@ -164,10 +168,11 @@ class NLPInteriorPoint(eqx.Module):
         step = newton_direction(problem, model, pairs, mu, factor, scale)
 
         size = jnp.max(jnp.abs(step.z / scale))
-        primal = jnp.minimum(
+        damping = next_damping(old.damping, old.step, step.z / scale)
+        primal = damping * jnp.minimum(
             _step_length(problem, old.slack, step.slack), MAX_STEP / jnp.maximum(size, MAX_STEP)
         )
-        dual = _step_length(problem, old.y.values, step.y.values)
+        dual = damping * _step_length(problem, old.y.values, step.y.values)
         good = factor.definite & jnp.isfinite(size)
         advance = lambda v, dv, t: jax.tree.map(lambda a, b: jnp.where(good, a + t * b, a), v, dv)  # noqa: E731
         curved_values, slopes = (
@@ -184,7 +189,8 @@ class NLPInteriorPoint(eqx.Module):
             inertia_correction=jnp.where(correction > 0.0, correction, old.inertia_correction),
             regular=(primal >= WHOLE) & (correction == 0.0),
             error=jnp.where(last_steps & (old.mu <= self.final_mu), error, jnp.inf),
-            step_norm=primal * size,
+            step=primal * step.z / scale,
+            damping=damping,
             steps=old.steps + 1,
             failed=~good,
         )
@@ -195,6 +201,23 @@ class NLPInteriorPoint(eqx.Module):
         mu, factor = at.mu, jnp.where(at.regular, BARRIER_TOLERANCE_FACTOR, CAREFUL_FACTOR)
         ready = (error <= factor * mu) & (mu > self.final_mu)
         return jnp.where(ready, jnp.maximum(self.final_mu, jnp.minimum(0.2 * mu, mu**1.5)), mu)
+
+
+def next_damping(
+    last: Scalar, last_step: Float[Array, "nodes variables"], step: Float[Array, "nodes variables"]
+) -> Scalar:
+    """Factor of a Newton step: half of the last one where the step goes back over the last step, else twice that.
+
+    Near a point where a constraint begins to bind, Newton steps overshoot. Without damping they go to and fro between
+    two points for ever.
+
+    Args:
+        last: factor of the last step.
+        last_step: as it was taken; zero before the first.
+        step: the Newton step.
+    """
+    back = -last * jnp.vdot(step, last_step) > MUCH_OF_THE_WAY * jnp.vdot(last_step, last_step)
+    return jnp.where(back, jnp.maximum(0.5 * last, LEAST_DAMPING), jnp.minimum(2.0 * last, 1.0))
 
 
 def _in_ratio_form(at: Iterate, model: SecondOrderModel) -> tuple[SecondOrderModel, SecondOrderModel]:
