@@ -45,7 +45,7 @@ def emulated(folder, order):
 
 @needs_compiler
 @pytest.mark.parametrize("function", ORDERS)
-@pytest.mark.parametrize("rate", ["no parameters", "every operation"])
+@pytest.mark.parametrize("rate", ["no parameters", pytest.param("every operation", marks=pytest.mark.slow)])
 def test_kernel_equals_jax(rate, function, tmp_path):
     order = ORDERS[function]
     case = random_case(*RATES[rate], tableaus.SIXTH_ORDER, order)
@@ -84,6 +84,7 @@ def test_more_columns_than_a_warp_has(tmp_path):
     assert_same(expected, jax.jit(emulated(tmp_path, 2))(*case))
 
 
+@pytest.mark.slow
 @needs_compiler
 def test_batch_elements_have_their_own_parameters_and_share_no_nan(tmp_path):
     """NaN in a parameter of one element, and in an interval's variable of another."""
@@ -126,6 +127,7 @@ def test_an_interval_too_large_for_shared_memory_has_no_kernel(monkeypatch):
         assert in_cuda_blocks.kernel(intervals, tapes, w.shape[1], 0, "90") is None
 
 
+@pytest.mark.slow
 def test_a_gpu_runs_the_kernel_and_other_devices_do_not(monkeypatch):
     """Lowered as on a machine with a GPU."""
     case = random_case(*RATES["every operation"], tableaus.CLASSICAL)

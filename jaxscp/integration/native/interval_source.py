@@ -15,7 +15,7 @@ from jaxscp.integration.intervals import Intervals, OutputGroup
 
 WARP, HALVES = 32, 2
 NUMBER = 8  # bytes
-LOADED_IN_PAIRS = "entries", "point_entries", "second", "point_second", "exchanged", "value_tangents"
+EVEN_ROWS = "entries", "point_entries", "second", "point_second", "exchanged", "value_tangents"
 """Arrays whose rows have an even length, so that the compiler loads two numbers at once."""
 
 
@@ -86,7 +86,7 @@ class Source:
             needed = self.order >= order
             found |= {name: shape if needed else (1,) * len(shape) for name, shape in members.items()}
         some = {name: tuple(max(1, size) for size in shape) for name, shape in found.items()}
-        return {name: (*v[:-1], _even(v[-1])) if name in LOADED_IN_PAIRS else v for name, v in some.items()}
+        return {name: (*v[:-1], _even(v[-1])) if name in EVEN_ROWS else v for name, v in some.items()}
 
     def _lines(self) -> Iterator[str]:
         intervals, tapes, method = self.intervals, self.tapes, self.intervals.method
