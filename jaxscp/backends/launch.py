@@ -35,12 +35,16 @@ class Kernel(NamedTuple):
             args: arguments; leading axes are a batch.
             shapes: shapes of the results.
         """
+        if not libraries.in_float64(args):
+            raise TypeError(f"a kernel takes float64, got {', '.join(str(v.dtype) for v in args)}")
         results = [jax.ShapeDtypeStruct(shape, args[0].dtype) for shape in shapes]
         call = jax.ffi.ffi_call(self.target, results, vmap_method="broadcast_all")
         numbers = {
             name: np.int64(getattr(self, name)) for name in ("axes", "group_size", "threads", "shared")
         }
-        return call(*args, **numbers, **cuda.attributes(self.cubin))
+        carried = cuda.attributes(self.cubin)
+        carried["name"] += f"/{self.shared}"  # a loaded kernel has one size of shared memory
+        return call(*args, **numbers, **carried)
 
 
 def available(library: libraries.Library) -> bool:

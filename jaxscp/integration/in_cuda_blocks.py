@@ -19,6 +19,8 @@ from jaxscp.integration.interval_tapes import IntervalTapes, flat_shapes, in_par
 from jaxscp.integration.intervals import IntervalData, IntervalOutputs, Intervals
 from jaxscp.integration.native import interval_source
 
+MOST_THREADS = 1024  # of a block
+
 
 def supports(w: Array) -> bool:
     """Whether a kernel can integrate intervals of these variables on the GPU that is JAX's default device."""
@@ -38,6 +40,12 @@ def kernel(
         capability: compute capability of the GPU.
     """
     source = interval_source.Source(intervals, tapes, inputs, order)
+    threads = interval_source.threads(inputs, order)
+    if threads > MOST_THREADS:
+        warn_slow(
+            f"an interval has {inputs} variables, too many for a CUDA kernel; JAX integrates it, and is slower"
+        )
+        return None
     if source.shared > (most := cuda.shared_memory(capability)):
         warn_slow(
             f"an interval of this problem needs {source.shared} bytes of a GPU's shared memory, of which a block has "
@@ -46,7 +54,6 @@ def kernel(
         return None
     folders = (Path(native.__file__).parent,)
     cubin = launch.cubin(source.text, capability, "the integration", folders)
-    threads = interval_source.threads(inputs)
     if cubin is None:
         return None
     return launch.Kernel(native.LIBRARY.on_gpu, cubin, threads, threads, shared=source.shared)

@@ -113,7 +113,8 @@ class NLPInteriorPoint(eqx.Module):
 
     def terminate(self, iterate: Iterate) -> Flag:
         """Whether the loop is over."""
-        converged = self.is_optimum(iterate) & (jnp.max(jnp.abs(iterate.step)) <= self.step_tolerance)
+        whole = iterate.damping == 1.0
+        converged = self.is_optimum(iterate) & whole & (jnp.max(jnp.abs(iterate.step)) <= self.step_tolerance)
         return converged | iterate.failed | (iterate.steps >= self.max_steps)
 
     def init(

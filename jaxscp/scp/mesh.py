@@ -34,7 +34,7 @@ def bounds(problem: ScaledTimeProblem, z: Float[Array, "nodes variables"], grid:
     errors = linear.outputs.end - evaluate(problem, z, finer).end
     parts = carried_along(linear.jacobian.end[:, :, : problem.state_size], errors) / sizes
     coarse = ~jnp.all(jnp.linalg.norm(jnp.sum(parts, axis=1), axis=1) <= ACCURACY)
-    worst = jnp.max(jnp.linalg.norm(parts, axis=2), axis=0)
+    worst = jnp.nan_to_num(jnp.max(jnp.linalg.norm(parts, axis=2), axis=0), nan=jnp.inf, posinf=jnp.inf)
     excess = worst / _level(worst)
     lengths = jnp.maximum(z[:-1, -1], z[1:, -1])
     shorter = lengths * jnp.maximum(RESERVE * jnp.maximum(excess, 1.0) ** (-1.0 / ORDER), SHORTEST)
@@ -67,7 +67,7 @@ def _level(parts: Float[Array, "intervals"]) -> Scalar:
     With all parts above the level brought down to it, the sum is the accuracy. This changes the fewest of them.
     """
     ascending = jnp.sort(parts)
-    smaller = jnp.cumsum(ascending) - ascending
+    smaller = jnp.concatenate([jnp.zeros(1, parts.dtype), jnp.cumsum(ascending)[:-1]])
     from_here_up = jnp.arange(parts.shape[0], 0, -1, dtype=parts.dtype)
     return jnp.max((ACCURACY - smaller) / from_here_up)
 

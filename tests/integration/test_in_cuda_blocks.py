@@ -35,7 +35,7 @@ def emulated(folder, order):
         tapes = interval_tapes.record(intervals, inputs, data, order)
         source = interval_source.Source(intervals, tapes, inputs, order)
         code = compiled(source.text, folder, "warps_on_a_cpu.h", [FOLDER])
-        threads = interval_source.threads(inputs)
+        threads = interval_source.threads(inputs, order)
         kernel = launch.Kernel(handler(), code, threads, threads, shared=source.shared)
         found = in_cuda_blocks.integrate(intervals, tapes, kernel, w, data, multipliers, order)
         return found if order else found[0]

@@ -75,6 +75,7 @@ def test_each_problem_has_the_first_shift_that_suffices(emulated):
     assert 1.0 < shifts[1] < SHIFTS.most
     assert shifts[2] >= SHIFTS.most
     assert np.array_equal(jax.vmap(lambda f: f.definite)(found), [True, True, False])
+    assert all(np.isnan(v[2]).all() for v in (found.value, found.lower, found.gain, found.first))
     first_two = lambda tree: jax.tree.map(lambda v: v[:2], tree)  # noqa: E731
     assert_close(first_two(expected), first_two(found))
 
@@ -106,3 +107,9 @@ def test_problems_too_large_for_shared_memory_are_left_to_jax(monkeypatch):
     assert gpu.supports(random_lq(0, True))
     assert not gpu.supports(random_lq(0, True, states=50))
     assert not gpu.supports(random_lq(0, True, intervals=3000))
+
+
+def test_numbers_of_another_type_are_refused():
+    kernel = launch.Kernel("no target", b"a cubin", 1, 1)
+    with pytest.raises(TypeError, match="a kernel takes float64, got float64, float32"):
+        kernel(jnp.zeros(2), jnp.zeros(2, jnp.float32), shapes=[(2,)])

@@ -93,3 +93,11 @@ def test_a_bound_leaves_the_least_dilation_room():
     np.testing.assert_allclose(low.dilation_max, 2.0 * PROBLEM.dilation_min)
     free = mesh.bounded(PROBLEM, jnp.full(NODES, jnp.inf))
     np.testing.assert_allclose(free.dilation_max, PROBLEM.dilation_max)
+
+
+def test_the_level_holds_for_parts_of_very_different_sizes_and_beside_one_that_is_infinite():
+    """One huge part and four small ones: the four keep theirs, the huge one gets what they leave."""
+    small = 0.1 * mesh.ACCURACY
+    for huge in (1e12, jnp.inf):
+        level = mesh._level(jnp.array([small, small, huge, small, small]))
+        np.testing.assert_allclose(level, 0.6 * mesh.ACCURACY, rtol=1e-12)

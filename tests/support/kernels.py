@@ -1,4 +1,4 @@
-"""CUDA kernels compiled for a CPU, where threads run one after another."""
+"""CUDA kernels compiled for a CPU, where one core runs all threads."""
 
 import ctypes
 import functools

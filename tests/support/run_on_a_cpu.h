@@ -11,6 +11,7 @@ template <typename... Parameters>
 void run_blocks(void (*kernel)(Parameters...), void** parameters, long long blocks, long long threads) {
   for (long long i = 0; i < blocks; ++i) {
     blockIdx.x = i;
+    for (double& number : emulated_memory) number = 0.0 / 0.0;
     run_block(threads, [&] { call(kernel, parameters, std::index_sequence_for<Parameters...>()); });
   }
 }

@@ -1,7 +1,8 @@
 // Arrays of an interval, and the work of threads; ``interval_source.py`` writes the sizes that come before.
 #pragma once
 
-constexpr int kHalves = 2, kLanes = kThreads / kHalves, kRowsOfHalf = (kInputs + kHalves - 1) / kHalves, kWarp = 32;
+constexpr int kLanes = kThreads / kHalves, kRowsOfHalf = (kInputs + kHalves - 1) / kHalves, kWarp = 32;
+static_assert(sizeof(Shared) == kShared * sizeof(double));
 constexpr int kExtended = kStates + 1, kArguments = kStates + kControls;
 constexpr int kEndsBegin = kExtended + kPoints * Point::kValues;
 constexpr double kSize = 1.0 / kSteps;

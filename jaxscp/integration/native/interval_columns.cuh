@@ -1,7 +1,8 @@
 // Columns of the tangents and of the Hessian, in the steps of ``tangents.h``.
 //
-// A column, that of one input, belongs to two threads, one in each half of the block. Both have the column's tangents in
-// registers, and every other row of the Hessian's column. Threads beyond the last column repeat it.
+// A column, that of one input, belongs to one thread in each half of the block; without a Hessian, the block has one
+// half. A thread has the column's tangents in registers, and the half's rows of the Hessian's column. Threads beyond
+// the last column repeat it.
 #pragma once
 
 #include "interval.cuh"

@@ -19,9 +19,14 @@ EVEN_ROWS = "entries", "point_entries", "second", "point_second", "exchanged", "
 """Arrays whose rows have an even length, so that the compiler loads two numbers at once."""
 
 
-def threads(inputs: int) -> int:
-    """Threads of a block: two for each column, in whole warps."""
-    return HALVES * -(-inputs // WARP) * WARP
+def halves(order: int) -> int:
+    """Threads that share a column: the Hessian alone has work for two."""
+    return HALVES if order > 1 else 1
+
+
+def threads(inputs: int, order: int) -> int:
+    """Threads of a block, in whole warps."""
+    return halves(order) * -(-inputs // WARP) * WARP
 
 
 class Source:
@@ -106,7 +111,8 @@ class Source:
             "StepsPerSubinterval": intervals.steps_per_subinterval,
             "Stages": method.stages,
             "Points": intervals.points,
-            "Threads": threads(self.inputs),
+            "Threads": threads(self.inputs, self.order),
+            "Halves": halves(self.order),
             "PointData": tapes.point.data,
             "EndsData": tapes.ends.data,
             "Hoisted": hoisted,

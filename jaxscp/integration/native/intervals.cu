@@ -13,7 +13,7 @@ extern "C" __global__ void __launch_bounds__(kThreads)
                   const double* __restrict__ multipliers, double* __restrict__ outputs, double* __restrict__ jacobian,
                   double* __restrict__ hessian, long long, long long intervals) {
 #if defined(JAXSCP_EMULATED_GPU)
-  alignas(16) static double memory[kShared];
+  double* memory = emulated_memory;
 #else
   extern __shared__ double2 memory[];
 #endif

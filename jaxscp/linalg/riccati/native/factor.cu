@@ -6,6 +6,7 @@ constexpr int even(int count) { return (count + 1) / 2 * 2; }
 constexpr int kEvenInputs = even(kInputs), kEvenStage = even(kStage);  // of padded arrays
 constexpr int kWarp = 32, kPerLane = (kInputs + kWarp - 1) / kWarp;
 constexpr unsigned kAllLanes = 0xffffffff;
+constexpr double kLargest = 1.7976931348623157e308;
 
 struct Memory {
   double value[kEvenStage][kEvenStage], flow[kStates][kEvenInputs], propagated[kEvenStage][kEvenInputs];
@@ -42,7 +43,8 @@ inline void add_cost_to_go(Memory& m) {
     for (int i = 0; i < 2; ++i)
       for (int j = 0; j < 2; ++j) {
         const int control = c + j - kStage;
-        m.propagated[r + i][c + j] = sum[i][j] + (control >= 0 && control < kControls ? m.value[r + i][kStates + control] : 0.0);
+        const bool known = control >= 0 && control < kControls;
+        m.propagated[r + i][c + j] = sum[i][j] + (known ? m.value[r + i][kStates + control] : 0.0);
       }
   });
   __syncthreads();
@@ -53,7 +55,8 @@ inline void add_cost_to_go(Memory& m) {
     for (int i = 0; i < 2; ++i)
       for (int j = 0; j < 2; ++j) {
         const int control = r + i - kStage;
-        m.stage[r + i][c + j] += sum[i][j] + (control >= 0 && control < kControls ? m.propagated[kStates + control][c + j] : 0.0);
+        const bool known = control >= 0 && control < kControls;
+        m.stage[r + i][c + j] += sum[i][j] + (known ? m.propagated[kStates + control][c + j] : 0.0);
       }
   });
   __syncthreads();
@@ -78,7 +81,7 @@ inline void eliminate_controls(Memory& m, double* to_lower, double* to_gain) {
 #pragma unroll
   for (int k = 0; k < kControls; ++k) {
     const double pivot = of_control(k, k);
-    definite = definite && pivot > 0.0;
+    definite = definite && pivot > 0.0 && pivot <= kLargest;
     inverse[k] = 1.0 / sqrt(pivot);
 #pragma unroll
     for (int s = 0; s < kPerLane; ++s) a[s][k] *= inverse[k];
@@ -134,7 +137,7 @@ inline void factor_value(Memory& m) {
   for (int j = 0; j < kStage; ++j) {
     const double pivot = m.value[j][j];
     __syncthreads();
-    if (threadIdx.x == 0 && !(pivot > 0.0)) m.definite = false;
+    if (threadIdx.x == 0 && !(pivot > 0.0 && pivot <= kLargest)) m.definite = false;
     const double inverse = 1.0 / sqrt(pivot);
     by_threads(kStage - j, [&](int i) { m.value[j + i][j] *= inverse; });
     __syncthreads();
@@ -202,6 +205,11 @@ extern "C" __global__ void __launch_bounds__(kThreads)
     }
     if (m.definite || !(shift < JAXSCP_MOST)) {
       if (threadIdx.x == 0) to_shift[problem] = shift;
+      if (!m.definite) {  // as ``no_factor``: parts were never written
+        by_threads(kIntervals * kValue, [&](int e) { to_value[e] = 0.0 / 0.0; });
+        by_threads(kIntervals * kControls * kControls, [&](int e) { to_lower[e] = 0.0 / 0.0; });
+        by_threads(kIntervals * kControls * kStage, [&](int e) { to_gain[e] = 0.0 / 0.0; });
+      }
       by_threads(kValue, [&](int e) {
         const int r = e / kStage, c = e % kStage;
         to_first[e] = !m.definite ? 0.0 / 0.0 : c <= r ? m.value[r][c] : 0.0;

@@ -16,8 +16,8 @@ inline void by_threads(int count, Act act) {
 template <int kBytes>
 inline double* shared_memory() {
 #if defined(JAXSCP_EMULATED_GPU)
-  alignas(16) static char memory[kBytes];
-  return reinterpret_cast<double*>(memory);
+  static_assert(kBytes <= sizeof(emulated_memory));
+  return emulated_memory;
 #else
   extern __shared__ double dynamic_memory[];
   return dynamic_memory;

@@ -18,7 +18,7 @@ struct Memory {
   double gradients[kIntervals + 1][kStage], feedforward[kIntervals][kControls], linear[kInputs], gradient[kStage];
 };
 
-// A problem and its factor. A thread has one entry of the vectors at a node; it reads all that it needs of an interval's
+// A problem and its factor. A thread has one entry of a node's vectors; it reads all that it needs of an interval's
 // matrices before it waits for the others.
 struct System {
   const double *hessian, *last, *flow, *initial, *final, *value, *lower, *gain, *first;
@@ -131,7 +131,9 @@ struct System {
       for (int k = 0; k < kStage; ++k) sum = fma(value_row(i, k)[r], x.nodes[i + 1][k], sum);
       x.flow[i][r] = sum;
     });
-    by_threads(kInitial, [&](int k) { x.initial[k] = kPenalty * (condition(initial, k, x.nodes[0]) - rhs.initial[k]); });
+    by_threads(kInitial, [&](int k) {
+      x.initial[k] = kPenalty * (condition(initial, k, x.nodes[0]) - rhs.initial[k]);
+    });
     by_threads(kFinal, [&](int k) {
       x.final[k] = kPenalty * (condition(final, k, x.nodes[kIntervals]) - rhs.final[k]);
     });
