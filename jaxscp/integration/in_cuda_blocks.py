@@ -4,7 +4,6 @@ In JAX, second derivatives are thousands of small operations, each of which read
 kernel, tangents and Hessian stay in registers and shared memory.
 """
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -62,7 +61,7 @@ def kernel(
 def integrate(
     intervals: Intervals,
     tapes: IntervalTapes,
-    kernel: Callable[..., Any],
+    kernel: launch.Kernel,
     w: Float[Array, "intervals inputs"],
     data: IntervalData,
     multipliers: IntervalOutputs | None,
@@ -70,7 +69,7 @@ def integrate(
 ) -> tuple[Any, ...]:
     """As ``in_cpp.integrate``, by a kernel of the same order."""
     count, inputs = w.shape
-    hoisted = [hoisted_constants(f, (0, 1)) for f in (*tapes[:3], *tapes.margins)]
+    hoisted = [hoisted_constants(f) for f in (*tapes[:3], *tapes.margins)]
     weights = jnp.zeros((count, 0)) if multipliers is None else side_by_side(multipliers)
     shapes = [(count, *shape) for shape in flat_shapes(intervals, tapes, inputs)]
     unused = [(count, 0)] * (2 - order)

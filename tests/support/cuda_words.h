@@ -4,9 +4,7 @@
 #include <cmath>
 #include <utility>
 
-#ifndef JAXSCP_EMULATED_GPU
 #define JAXSCP_EMULATED_GPU
-#endif
 
 #define __global__
 #define __noinline__

@@ -1,7 +1,6 @@
 // The interior point's CUDA kernel on a CPU, compiled for the sizes of one program (JAXSCP_SIZES), as the FFI target of
 // the C++ for CPUs.
 
-#define JAXSCP_EMULATED_GPU
 #define JAXSCP_BLOCKS 1
 #define JAXSCP_ALONE JAXSCP_THREADS
 
