@@ -139,7 +139,7 @@ def _in_cpp(intervals: Intervals, w: Array, record: Record, order: int) -> Calla
 
 
 def _by_blocks(intervals: Intervals, w: Array, record: Record, order: int) -> Callable[..., Any] | None:
-    """Integration by a CUDA block an interval; None if there is no kernel, or none is needed."""
+    """Integration by CUDA kernels with a block an interval; None if there are none, or none is needed."""
     capability = cuda.capability()
     if capability is None or not in_cuda_blocks.supports(w) or intervals.path_outputs.empty:
         return None
@@ -148,11 +148,11 @@ def _by_blocks(intervals: Intervals, w: Array, record: Record, order: int) -> Ca
     except tracing.CannotTrace as error:
         warn_slow(f"no CUDA kernel can integrate this problem ({error}); JAX does, and is slower")
         return None
-    kernel = in_cuda_blocks.kernel(intervals, tapes, w.shape[-1], order, capability)
-    if kernel is None:
+    kernels = in_cuda_blocks.kernels(intervals, tapes, w.shape[-1], order, capability)
+    if kernels is None:
         return None
     return lambda w, data, multipliers=None: in_cuda_blocks.integrate(
-        intervals, tapes, kernel, w, data, multipliers, order
+        intervals, tapes, kernels, w, data, multipliers, order
     )
 
 

@@ -1,11 +1,13 @@
-"""Integration by a CUDA block an interval, for float64: with path outputs, and with derivatives up to the second.
+"""Integration by two CUDA kernels, for float64: with path outputs, and with derivatives up to the second.
 
-In JAX, second derivatives are thousands of small operations, each of which reads and writes all intervals. In one
-kernel, tangents and Hessian stay in registers and shared memory.
+In JAX, second derivatives are thousands of small operations, each of which reads and writes all intervals. Here one
+kernel integrates an interval by a thread: its steps follow each other. Another one finds the derivatives by a block,
+a column a thread; tangents and Hessian stay in registers and shared memory.
 """
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -19,6 +21,10 @@ from jaxscp.integration.intervals import IntervalData, IntervalOutputs, Interval
 from jaxscp.integration.native import interval_source
 
 MOST_THREADS = 1024  # of a block
+RESERVED, MOST_BLOCKS = (
+    1024,
+    8,
+)  # bytes of a block's shared memory that CUDA takes; blocks on a multiprocessor at once
 
 
 def supports(w: Array) -> bool:
@@ -26,10 +32,21 @@ def supports(w: Array) -> bool:
     return libraries.in_float64(w) and launch.available(native.LIBRARY)
 
 
-def kernel(
+class Kernels(NamedTuple):
+    """The kernels of an integration."""
+
+    paths: launch.Kernel
+    """Integrates an interval by one thread."""
+    stored: int
+    """Numbers that it keeps of an interval."""
+    columns: launch.Kernel | None
+    """Finds derivatives from these, by a block an interval; None at order zero."""
+
+
+def kernels(
     intervals: Intervals, tapes: IntervalTapes, inputs: int, order: int, capability: str
-) -> launch.Kernel | None:
-    """Compiled kernel; None and a warning if an interval does not fit in shared memory, or it does not compile.
+) -> Kernels | None:
+    """Compiled kernels; None and a warning if an interval does not fit in shared memory, or one does not compile.
 
     Args:
         intervals: the integration.
@@ -40,40 +57,58 @@ def kernel(
     """
     source = interval_source.Source(intervals, tapes, inputs, order)
     threads = interval_source.threads(inputs, order)
-    if threads > MOST_THREADS:
+    most = cuda.shared_memory(capability)
+    if order and threads > MOST_THREADS:
         warn_slow(
             f"an interval has {inputs} variables, too many for a CUDA kernel; JAX integrates it, and is slower"
         )
         return None
-    if source.shared > (most := cuda.shared_memory(capability)):
+    if order and source.shared > most:
         warn_slow(
             f"an interval of this problem needs {source.shared} bytes of a GPU's shared memory, of which a block has "
             f"{most}; JAX integrates it, and is slower"
         )
         return None
-    folders = (Path(native.__file__).parent,)
-    cubin = launch.cubin(source.text, capability, "the integration", folders)
-    if cubin is None:
+    texts = [source.paths, source.columns][: 1 + (order > 0)]
+    blocks = min(MOST_BLOCKS, (most + RESERVED) // (source.shared + RESERVED))
+    with ThreadPoolExecutor() as pool:  # compilation takes long, and does not hold Python's lock
+        cubins = [c for c in pool.map(lambda text: _cubin(text, capability, blocks), texts) if c is not None]
+    if len(cubins) < len(texts):
         return None
-    return launch.Kernel(native.LIBRARY.on_gpu, cubin, threads, threads, shared=source.shared)
+    on_gpu, group = native.LIBRARY.on_gpu, interval_source.PATH_THREADS
+    paths, *columns = cubins
+    return Kernels(
+        launch.Kernel(on_gpu, paths, 1, group),
+        source.stored,
+        launch.Kernel(on_gpu, columns[0], threads, threads, shared=source.shared) if columns else None,
+    )
+
+
+def _cubin(text: str, capability: str, blocks: int) -> bytes | None:
+    return launch.cubin(
+        text, capability, "the integration", (Path(native.__file__).parent,), JAXSCP_BLOCKS=blocks
+    )
 
 
 def integrate(
     intervals: Intervals,
     tapes: IntervalTapes,
-    kernel: launch.Kernel,
+    kernels: Kernels,
     w: Float[Array, "intervals inputs"],
     data: IntervalData,
     multipliers: IntervalOutputs | None,
     order: int,
 ) -> tuple[Any, ...]:
-    """As ``in_cpp.integrate``, by a kernel of the same order."""
+    """As ``in_cpp.integrate``, by kernels of the same order."""
     count, inputs = w.shape
-    hoisted = [hoisted_constants(f) for f in (*tapes[:3], *tapes.margins)]
+    hoisted = jnp.concatenate([hoisted_constants(f) for f in (*tapes[:3], *tapes.margins)])
     weights = jnp.zeros((count, 0)) if multipliers is None else side_by_side(multipliers)
     shapes = [(count, *shape) for shape in flat_shapes(intervals, tapes, inputs)]
-    unused = [(count, 0)] * (2 - order)
-    found = kernel(
-        w, jnp.concatenate(hoisted), side_by_side(data), weights, shapes=[*shapes[: order + 1], *unused]
+    outputs, stored = kernels.paths(
+        w, hoisted, side_by_side(data), weights, shapes=[shapes[0], (count, kernels.stored)]
     )
-    return in_parts(intervals, tapes, found[: order + 1])
+    derivatives = []
+    if kernels.columns is not None:
+        unused = [(count, 0)] * (2 - order)
+        derivatives = kernels.columns(stored, hoisted, shapes=[*shapes[1 : order + 1], *unused])
+    return in_parts(intervals, tapes, [outputs, *derivatives[:order]])

@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from jaxscp.core import batching
 from jaxscp.core.trees import tree_where
 from jaxscp.core.types import Scalar
 from jaxscp.linalg.eigen.dispatch import eigen, nearest
@@ -83,20 +84,22 @@ def convexified_along_horizon(
 def _convex_block(whole: Float[Array, "n n"], stage: int):
     """Curvature passed on to the node before, the convex block, and whether it was clipped."""
     least, tries = _schur_complements(whole, stage)
-    _, lowest = nearest(jnp.stack([before for before, _ in tries]))
-    fine = lowest > -DEEPEST_CURVATURE
+    fine = _definite(jnp.stack([before for before, _ in tries]) + DEEPEST_CURVATURE * jnp.eye(stage))
+    found = tries[-1]
+    for i in reversed(range(len(FLOORS) - 1)):
+        found = tree_where(fine[i], tries[i], found)
 
-    def clipped(whole):
+    def clipped(whole, *_):
         return _schur_complements(_clip(whole, FLOORS[0])[0], stage)[1][0]
 
-    def first_that_suffices(whole):
-        found = tries[-1]
-        for i in reversed(range(len(FLOORS) - 1)):
-            found = tree_where(fine[i], tries[i], found)
-        return found
-
-    before, convex = jax.lax.cond(jnp.any(fine), first_that_suffices, clipped, whole)
+    before, convex = batching.where_needed(~jnp.any(fine), clipped, whole, found)
     return before, convex, ~(fine[0] & (least >= FLOORS[0]))
+
+
+def _definite(matrices: Float[Array, "count n n"]) -> Bool[Array, "count"]:
+    """Whether symmetric matrices are positive definite; false where a number is not finite."""
+    factor = jnp.linalg.cholesky(matrices, symmetrize_input=False)
+    return jnp.all(jnp.isfinite(jnp.diagonal(factor, axis1=1, axis2=2)), axis=1)
 
 
 def _clip(h: Float[Array, "n n"], least: float) -> tuple[Float[Array, "n n"], Scalar]:

@@ -34,10 +34,17 @@ def emulated(folder, order):
         inputs = w.shape[-1]
         tapes = interval_tapes.record(intervals, inputs, data, order)
         source = interval_source.Source(intervals, tapes, inputs, order)
-        code = compiled(source.text, folder, "warps_on_a_cpu.h", [FOLDER])
-        threads = interval_source.threads(inputs, order)
-        kernel = launch.Kernel(handler(), code, threads, threads, shared=source.shared)
-        found = in_cuda_blocks.integrate(intervals, tapes, kernel, w, data, multipliers, order)
+        threads, group = interval_source.threads(inputs, order), interval_source.PATH_THREADS
+        here = {name: folder / name for name in ("paths", "columns")}
+        for path in here.values():
+            path.mkdir(exist_ok=True)
+        code = compiled(source.paths, here["paths"], "threads_on_a_cpu.h", [FOLDER])
+        paths, columns = launch.Kernel(handler(), code, 1, group), None
+        if order:
+            code = compiled(source.columns, here["columns"], "warps_on_a_cpu.h", [FOLDER])
+            columns = launch.Kernel(handler(), code, threads, threads, shared=source.shared)
+        kernels = in_cuda_blocks.Kernels(paths, source.stored, columns)
+        found = in_cuda_blocks.integrate(intervals, tapes, kernels, w, data, multipliers, order)
         return found if order else found[0]
 
     return integrate
@@ -114,17 +121,18 @@ def test_batch_elements_have_their_own_parameters_and_share_no_nan(tmp_path):
 def test_kernel_compiles(order):
     intervals, w, data = random_case(*RATES["every operation"], tableaus.CLASSICAL, order=1)
     tapes = interval_tapes.record(intervals, w.shape[1], data, order)
-    kernel = in_cuda_blocks.kernel(intervals, tapes, w.shape[1], order, "90")
-    assert kernel is not None
-    assert kernel.cubin.startswith(b"\x7fELF")
+    kernels = in_cuda_blocks.kernels(intervals, tapes, w.shape[1], order, "90")
+    assert kernels is not None
+    assert kernels.paths.cubin.startswith(b"\x7fELF")
+    assert (kernels.columns is None) == (order == 0)
 
 
 def test_an_interval_too_large_for_shared_memory_has_no_kernel(monkeypatch):
     intervals, w, data = random_case(*RATES["no parameters"], tableaus.CLASSICAL, order=1)
-    tapes = interval_tapes.record(intervals, w.shape[1], data, 0)
+    tapes = interval_tapes.record(intervals, w.shape[1], data, 1)
     monkeypatch.setattr(cuda, "shared_memory", lambda _: 100)
     with pytest.warns(PerformanceWarning, match="bytes of a GPU's shared memory, of which a block has 100"):
-        assert in_cuda_blocks.kernel(intervals, tapes, w.shape[1], 0, "90") is None
+        assert in_cuda_blocks.kernels(intervals, tapes, w.shape[1], 1, "90") is None
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 // the C++ for CPUs.
 
 #define JAXSCP_BLOCKS 1
+#define JAXSCP_SHARED (228 * 1024)
 #define JAXSCP_ALONE JAXSCP_THREADS
 
 #include "xla/ffi/api/ffi.h"

@@ -6,7 +6,7 @@ which they include each other:
 
     team.h                     the threads of a CPU that solve one program together
     parallel.h                 parallel loops, for a CPU (parallel_cpu.h) or a GPU (parallel_gpu.h)
-    layout.h arena.h           sizes, positions in vectors, memory; several stages in one register (``pack.h``)
+    layout.h indices.h arena.h sizes, positions in vectors, memory; several stages in one register (``pack.h``)
     matrix.h program.h         sparse matrices of all nodes, and the program
     cone_registers.h cones.h scaling.h      second-order cones and their scaling; a GPU holds cones in registers
     equilibrate.h              scales of the program
@@ -15,6 +15,7 @@ which they include each other:
     chain_from_ends.h, chain_by_warps.h     the links eliminated, on a CPU and on a GPU
     nearly_diagonal.h                       inverse of a nearly diagonal Hessian, on a GPU
     nodes_by_panels.h, nodes_by_warps.h     the nodes eliminated, on a CPU and on a GPU; ``nodes.h`` chooses
+    squares.h, squares_by_rows.h, squares_by_warp.h   what cones add to a node's Hessian, on a CPU and on a GPU
     newton_system.h            the KKT system, as in ``kkt``
     iterate.h residuals.h starting_point.h directions.h interior_point.h    the method, as in the Python files
     batch.h buffers.h          a batch, as XLA passes it

@@ -1,7 +1,7 @@
 // Arena allocation: the arrays of a program and its solver lie in one block of memory.
 #pragma once
 
-#include "layout.h"
+#include "indices.h"
 #include "parallel.h"
 
 namespace jaxscp {
@@ -61,9 +61,9 @@ class Arena {
     used_ += (count + kAligned - 1) / kAligned * kAligned;
     return taken;
   }
-  int* take_integers(int count) {
-    constexpr int kOfPack = sizeof(Pack) / sizeof(int);
-    return reinterpret_cast<int*>(take((count + kOfPack - 1) / kOfPack).data);
+  Index* take_indices(int count) {
+    constexpr int kOfPack = sizeof(Pack) / sizeof(Index);
+    return reinterpret_cast<Index*>(take((count + kOfPack - 1) / kOfPack).data);
   }
   long long used() const { return used_; }
 
@@ -80,13 +80,13 @@ class Arena {
 class FastIndices {
  public:
   // Address of the copy, or of the original if the capacity is used up; called by one thread.
-  int* take(int* global, int count) {
+  Index* take(Index* global, int count) {
     if (used() + count > kCapacity) return global;
     used() += count;
-    return integers() + used() - count;
+    return indices() + used() - count;
   }
   // Copies the indices; called by all threads.
-  static void copy(const int* global, int* fast, int count) {
+  static void copy(const Index* global, Index* fast, int count) {
     parallel_for(fast == global ? 0 : count, [&](int i) { fast[i] = global[i]; });
   }
 
@@ -95,9 +95,9 @@ class FastIndices {
   }
 
  private:
-  static constexpr int kCapacity = 768;
-  static int* integers() {
-    __shared__ int numbers[kCapacity];
+  static constexpr int kCapacity = kFastIndices;
+  static Index* indices() {
+    __shared__ Index numbers[kCapacity];
     return numbers;
   }
   static int& used() {
@@ -107,8 +107,8 @@ class FastIndices {
 };
 #else
 struct FastIndices {
-  static int* take(int* global, int) { return global; }
-  static void copy(const int*, int*, int) {}
+  static Index* take(Index* global, int) { return global; }
+  static void copy(const Index*, Index*, int) {}
 };
 #endif
 

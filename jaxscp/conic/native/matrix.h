@@ -60,9 +60,10 @@ struct MatrixSource {
 class Matrix {
  public:
   Matrix(int rows, int columns, int packs, Arena& arena)
-      : rows(rows), columns(columns), index_{arena.take_integers(rows + 1), arena.take_integers(rows * columns),
-                                           arena.take_integers(columns + 1), arena.take_integers(rows * columns)},
-        fast_index_(index_), number_(arena.take_integers(rows * columns)), value_(arena.take(packs * rows * columns)) {}
+      : rows(rows), columns(columns), index_{arena.take_indices(rows + 1), arena.take_indices(rows * columns),
+                                           arena.take_indices(columns + 1), arena.take_indices(rows * columns)},
+        fast_index_(index_), number_(arena.take_indices(rows * columns)), fast_number_(number_),
+        value_(arena.take(packs * rows * columns)) {}
 
   int size() const { return rows * columns; }
 
@@ -94,9 +95,9 @@ class Matrix {
   // Numbers the nonzero entries.
   JAXSCP_CALLED void enumerate(FastIndices& fast) {
     list(index_.row_start, rows, columns, [&](int i, int j) { return i * columns + j; },
-         [&](int e, int i, int j, int at) { index_.of_row[e] = pair(i, j), number_[at] = e; });
+         [&](int e, int i, int j, int at) { index_.of_row[e] = pair_of(i, j), number_[at] = e; });
     list(index_.column_start, columns, rows, [&](int j, int i) { return i * columns + j; },
-         [&](int f, int, int i, int at) { index_.of_column[f] = pair(i, number_[at] - index_.row_start[i]); });
+         [&](int f, int, int i, int at) { index_.of_column[f] = pair_of(i, number_[at] - index_.row_start[i]); });
     once([&] {
       entries = index_.row_start[rows];
       fast_index_.row_start = fast.take(index_.row_start, rows + 1);
@@ -108,10 +109,18 @@ class Matrix {
     fast.copy(index_.column_start, fast_index_.column_start, columns + 1);
     fast.copy(index_.of_column, fast_index_.of_column, entries);
   }
+  // Makes ``number`` fast.
+  void copy_numbers(FastIndices& fast) {
+    once([&] { fast_number_ = fast.take(number_, size()); });
+    fast.copy(number_, fast_number_, size());
+  }
 
   Entries at(int pack) const { return value_.of(pack, entries); }
   // Number of entry (i, j); negative if the entry is zero at all nodes.
-  int number(int i, int j) const { return number_[i * columns + j]; }
+  int number(int i, int j) const {
+    const Index e = fast_number_[i * columns + j];
+    return e == kNone ? -1 : e;
+  }
 
   // Calls act(e, j) for every nonzero entry of row i, e being its number and j its column. On a GPU the loop is
   // unrolled twice: with more, all such loops together would outgrow the instruction cache.
@@ -119,7 +128,7 @@ class Matrix {
   void each_of_row(int i, Act act) const {
     const int end = fast_index_.row_start[i + 1];
 #pragma unroll 2
-    for (int e = fast_index_.row_start[i]; e < end; ++e) act(e, second(fast_index_.of_row[e]));
+    for (int e = fast_index_.row_start[i]; e < end; ++e) act(e, second_of(fast_index_.of_row[e]));
   }
   // Calls act(e, i) for every nonzero entry of column j, e being its number and i its row.
   template <typename Act>
@@ -127,15 +136,15 @@ class Matrix {
     const int end = fast_index_.column_start[j + 1];
 #pragma unroll 2
     for (int f = fast_index_.column_start[j]; f < end; ++f) {
-      const int i = first(fast_index_.of_column[f]);
-      act(fast_index_.row_start[i] + second(fast_index_.of_column[f]), i);
+      const int i = first_of(fast_index_.of_column[f]);
+      act(fast_index_.row_start[i] + second_of(fast_index_.of_column[f]), i);
     }
   }
   // By a team, calls act(i, j, value) for every nonzero entry.
   template <typename Act>
   void each(int pack, Act act) const {
     Entries a = at(pack);
-    in_team(entries, [&](int e) { act(first(fast_index_.of_row[e]), second(fast_index_.of_row[e]), a[e]); });
+    in_team(entries, [&](int e) { act(first_of(fast_index_.of_row[e]), second_of(fast_index_.of_row[e]), a[e]); });
   }
 
   // Multiplies every entry by row(p, i) and column(p, j).
@@ -143,7 +152,7 @@ class Matrix {
   void scale(int packs, Row row, Column column) {
     parallel_for(packs, Parts{entries}, [&](int p, int e) {
       Pack& v = at(p)[e];
-      v = row(p, first(fast_index_.of_row[e])) * v * column(p, second(fast_index_.of_row[e]));
+      v = row(p, first_of(fast_index_.of_row[e])) * v * column(p, second_of(fast_index_.of_row[e]));
     });
   }
 
@@ -166,22 +175,19 @@ class Matrix {
   int entries = -1;  // number of nonzero entries; negative before the first program
 
  private:
-  static constexpr int kNone = -1;
+  static constexpr Index kNone = static_cast<Index>(-1);
   static constexpr int kAtOnce = (7 + kWidth) / kWidth;  // packs that are read together: at least eight numbers
 
   // Starts of rows and columns among the entries. ``of_row`` has (row, column) of each entry, ``of_column`` has (row,
   // number within the row), each pair in one integer to save shared memory.
-  struct Index {
-    int *row_start, *of_row, *column_start, *of_column;
+  struct Indices {
+    Index *row_start, *of_row, *column_start, *of_column;
   };
   static_assert(kMaxLines <= 1 << 15);
-  static int pair(int first, int second) { return first << 16 | second; }
-  static int first(int pair) { return pair >> 16; }
-  static int second(int pair) { return pair & 0xffff; }
 
   // Numbers the nonzero entries line by line (rows or columns); entries of line i begin with begin[i].
   template <typename Position, typename Put>
-  void list(int* begin, int lines, int length, Position position, Put put) {
+  void list(Index* begin, int lines, int length, Position position, Put put) {
     parallel_for(lines, [&](int i) {
       int count = 0;
       for (int j = 0; j < length; ++j) count += number_[position(i, j)] != kNone;
@@ -195,8 +201,8 @@ class Matrix {
     });
   }
 
-  Index index_, fast_index_;
-  int* number_;  // number of each entry (i, j), or kNone
+  Indices index_, fast_index_;
+  Index *number_, *fast_number_;  // number of each entry (i, j), or kNone
   Packs value_;
 };
 

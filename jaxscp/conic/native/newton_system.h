@@ -3,6 +3,7 @@
 
 #include "nodes.h"
 #include "scaling.h"
+#include "squares.h"
 
 namespace jaxscp {
 
@@ -94,64 +95,18 @@ class NewtonSystem {
   void add_hessian(const Scaling& s, double regularisation, int p, Triangle to, Pack* along) {
     const Program& g = program_;
     const int n = g.n;
-    Entries w = g.of_cones(s.w, p);
     g.hessian.each(p, [&](int i, int j, Pack v) { to(i, j) = v; });
-    Entries weight = scratch(p, 0);
-    in_team(g.r, [&](int i) { weight[i] = inverse(w[i] * w[i]); });
-    in_team(g.user_cones, [&](int c) {
-      auto [offset, d, _] = g.cone_at(c);
-      Pack by = inverse(s.eta_of(p, c) * s.eta_of(p, c));
-      for (int i = 0; i < d; ++i) weight[offset + i] = i == 0 ? -by : by;
-    });
-    add_squares(g.rows, p, to, weight);
-    add_squares(g.user, p, to, weight + g.r);
-    for (int c = 0; c < g.user_cones; ++c) {
-      const int offset = g.cone_at(c).offset, d = g.cone_at(c).dimension;
-      Pack by = -weight[offset];
-      Entries a = g.user.at(p);
-      in_team(n, [&](int j) {
-        Pack total = all(0.0);
-        g.user.each_of_column(j, [&](int e, int row) {
-          const int i = g.r + row - offset;
-          if (i >= 0 && i < d) total += (i == 0 ? w[offset] : -w[offset + i]) * a[e];
-        });
-        along[j] = total;
-      });
-      add_square(2.0 * by, along, to);
-    }
+    add_squares(g, s, p, scratch(p, 0), along, to);
     if (g.has_norm) {
-      Entries w1 = w + g.trust + 1, scale = g.scale.of(p, n);
+      Entries w1 = g.of_cones(s.w, p) + (g.trust + 1), scale = g.scale.of(p, n);
       Pack e = s.eta_of(p, g.trust_cone), by = inverse(e * e), size = soc::dot(soc::load(w1, n), soc::load(w1, n));
       in_team(n, [&](int i) {
         along[i] = scale[i] * w1[i];
         to(i, i) += by * scale[i] * scale[i];
       });
-      add_square(-by * 2.0 * inverse(1.0 + 2.0 * size), along, to);
+      add_square(n, -by * 2.0 * inverse(1.0 + 2.0 * size), along, to);
     }
     in_team(n, [&](int i) { to(i, i) += regularisation; });
-  }
-
-  // Adds weight v v'.
-  template <typename Triangle>
-  void add_square(Pack weight, const Pack* v, Triangle to) const {
-    in_team(program_.n, [&](int i) {
-      Pack by = weight * v[i];
-      for (int j = 0; j <= i; ++j) to(i, j) += by * v[j];
-    });
-  }
-
-  // Adds the sum of weight[i] a_i a_i' over the rows a_i of a matrix, one row of the triangle after another.
-  template <typename Triangle>
-  void add_squares(const Matrix& matrix, int p, Triangle to, Entries weight) const {
-    Entries a = matrix.at(p);
-    in_team(program_.n, [&](int j) {
-      matrix.each_of_column(j, [&](int e, int i) {
-        Pack v = weight[i] * a[e];
-        matrix.each_of_row(i, [&](int f, int other) {
-          if (other <= j) to(j, other) += v * a[f];
-        });
-      });
-    });
   }
 
   template <int S>

@@ -111,7 +111,8 @@ inline void once(Act act) {
 }
 
 // Prefix sum: begin[0] = 0, and begin[i + 1] becomes the sum of begin[1] .. begin[i + 1].
-inline void add_up(int* begin, int count) {
+template <typename Index>
+inline void add_up(Index* begin, int count) {
   parallel_for_teams(1, [&](int) {
     if (lane_of_warp() == 0) begin[0] = 0;
     int before = 0;
@@ -134,10 +135,18 @@ inline void add_up(int* begin, int count) {
 inline bool admit() { return true; }
 inline void dismiss() {}
 
+// Shared memory of a reduction, one for all: each would have its own otherwise.
+constexpr int kMostFolded = 12;  // numbers of a warp
+inline double* fold_memory() {
+  __shared__ double memory[kMostFolded * kMostWarps];
+  return memory;
+}
+
 // Reduction: act(p, k, found) adds to ``found``, which begins as ``first``, for all p < packs and parts k.
 template <typename Found, typename Act>
 inline Found fold(int packs, Parts parts, Found first, Act act) {
-  __shared__ Found of_warps[kMostWarps];
+  static_assert(sizeof(Found) <= kMostFolded * sizeof(double));
+  Found* of_warps = reinterpret_cast<Found*>(fold_memory());
   Found total = first;
   parallel_for_nowait(packs, parts, [&](int p, int k) { act(p, k, total); });
 #pragma unroll 1

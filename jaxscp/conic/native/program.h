@@ -31,6 +31,7 @@ class Program : public ProgramLayout {
     if (changed) {
       FastIndices fast;
       each_matrix([&](Matrix& matrix, MatrixSource) { matrix.enumerate(fast); });
+      rows.copy_numbers(fast), user.copy_numbers(fast);
       read_matrices();
     }
     gather(g.soft, nodes + 1, m, soft, 0, m);

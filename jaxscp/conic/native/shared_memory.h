@@ -37,15 +37,25 @@ constexpr int kLine = 16;  // numbers of a memory transaction, if aligned
 constexpr int kBlockSize = (kLayout.m * kLayout.m + kLine - 1) / kLine * kLine;  // of a block stored by columns
 constexpr int kBuffers = 3;  // blocks of the chain in use or being copied
 constexpr int kPrefetched = larger_of(kPerLink, kBuffers * kBlockSize);  // of one end of the chain
-// Solutions of the chain for two right-hand sides, and the updates of its middle; in shared memory unless too many.
+// Solutions of the chain for two right-hand sides, and the updates of its middle; in shared memory if they fit.
 constexpr int kSolutions = 2 * (kLayout.nodes + 3) * kLayout.m;
-constexpr bool kVectorsShared = kSolutions <= 1536;
-constexpr int kChainVectors = kVectorsShared ? kSolutions : 0;
 // Two warps eliminate the chain in their tiles; their copies lie in the other warps' tiles.
-constexpr int shared_memory_size(int warps) {
-  return warps * kWarpScratch + kChainVectors +
+constexpr int shared_memory_size(int warps, int of_vectors) {
+  return warps * kWarpScratch + of_vectors +
          larger_of(larger_of(warps, 2) * kTileSize, 2 * (kTileSize + kPrefetched));
 }
+// Bytes of one of the blocks that share a multiprocessor. A block more is worth more than faster access to the chain's
+// vectors. ``kObjects``: of the objects in shared memory (``kernel.cu``), about.
+constexpr int kReserved = 1024, kObjects = 8192, kOfBlock = JAXSCP_SHARED / JAXSCP_BLOCKS - kReserved;
+constexpr int left_for_indices(int of_vectors) {
+  return kOfBlock - kObjects -
+         static_cast<int>(sizeof(double)) * shared_memory_size(JAXSCP_THREADS / kWarp, of_vectors);
+}
+constexpr int kLeastForIndices = 1536;  // bytes
+constexpr bool kVectorsShared = left_for_indices(kSolutions) >= kLeastForIndices;
+constexpr int kChainVectors = kVectorsShared ? kSolutions : 0;
+constexpr int kForIndices = larger_of(left_for_indices(kChainVectors), kLeastForIndices);
+constexpr int shared_memory_size(int warps) { return shared_memory_size(warps, kChainVectors); }
 
 #if defined(JAXSCP_EMULATED_GPU)
 inline double* shared_memory() {

@@ -1,17 +1,18 @@
-// Arrays of an interval, and the work of threads; ``interval_source.py`` writes the sizes that come before.
+// Sizes of an interval, and numbers that ``paths.cu`` keeps for ``intervals.cu``; ``interval_source.py`` writes what comes
+// before.
 #pragma once
 
-constexpr int kLanes = kThreads / kHalves, kRowsOfHalf = (kInputs + kHalves - 1) / kHalves, kWarp = 32;
-static_assert(sizeof(Shared) == kShared * sizeof(double));
 constexpr int kExtended = kStates + 1, kArguments = kStates + kControls;
-constexpr int kEndsBegin = kExtended + kPoints * Point::kValues;
+constexpr int kEndsBegin = kExtended + kPoints * Point::kValues, kOutputs = kEndsBegin + Ends::kValues;
 constexpr double kSize = 1.0 / kSteps;
 
-// The arrays of an interval.
-struct Interval {
-  const double *w, *hoisted, *point_data, *ends_data, *mask, *multipliers;
-  double *outputs, *jacobian, *hessian;
-  Shared& m;
+// Numbers of one interval in an array where those of all intervals alternate, so that neighbouring threads use
+// neighbouring numbers.
+struct Strided {
+  double* first;
+  long long stride;
+  double& operator[](int k) const { return first[k * stride]; }
+  Strided operator+(int k) const { return {first + k * stride, stride}; }
 };
 
 // Index of the e-th of the values that share a margin, and of its output, by the instance of the group.
@@ -25,19 +26,5 @@ constexpr int output_of(int instance, int e) {
          e % Group::kSize;
 }
 
-// act(i) for i < count, each by one thread.
-template <typename Act>
-inline void by_threads(int count, Act act) {
-#pragma unroll 1
-  for (int i = threadIdx.x; i < count; i += kThreads) act(i);
-}
-
 inline double fraction_of(int step, int stage) { return kSize * (step + kC[stage]); }
 inline double fraction_of(int point) { return point * (1.0 / (kPoints - 1)); }
-
-inline void write_controls(const Interval& at, double fraction, double* arguments) {
-  by_threads(kControls, [&](int k) {
-    const double first = at.w[kStates + k], last = at.w[kStates + kControls + k];
-    arguments[kStates + k] = fma(fraction, last - first, first);
-  });
-}

@@ -7,6 +7,59 @@
 
 #include "interval.cuh"
 
+constexpr int kLanes = kThreads / kHalves, kRowsOfHalf = (kInputs + kHalves - 1) / kHalves;
+static_assert(sizeof(Shared) == kShared * sizeof(double));
+
+// The arrays of an interval.
+struct Interval {
+  const double* hoisted;
+  Strided stored;
+  double *jacobian, *hessian;
+  Shared& m;
+};
+
+// Copies stored numbers to ``rows`` rows of shared memory.
+template <int kCount, typename Row>
+inline void read(Strided stored, int rows, Row row) {
+#pragma unroll 1
+  for (int i = threadIdx.x; i < rows * kCount; i += kThreads) row(i / kCount)[i % kCount] = stored[i];
+}
+
+// Reads the entries of the derivatives at points and ends, and of the margins.
+inline void read_entries(const Interval& at) {
+  Shared& m = at.m;
+  if constexpr (Point::kEntries > 0)
+    read<Point::kEntries>(at.stored + kPointEntriesAt, kPoints, [&](int p) { return m.point_entries[p]; });
+  read<1>(at.stored + kEndsEntriesAt, Ends::kEntries, [&](int e) { return m.ends_entries + e; });
+  read<1>(at.stored + kMarginEntriesAt, kMarginEntries, [&](int e) { return m.margin_entries + e; });
+  if constexpr (kOrder > 1) {
+    if constexpr (Point::kSecond > 0)
+      read<Point::kSecond>(at.stored + kPointSecondAt, kPoints, [&](int p) { return m.point_second[p]; });
+    read<1>(at.stored + kEndsSecondAt, Ends::kSecond, [&](int e) { return m.ends_second + e; });
+    read<1>(at.stored + kMarginSecondAt, kMarginSecond, [&](int e) { return m.margin_second + e; });
+  }
+  __syncthreads();
+}
+
+// Entries of the derivatives of a step's slopes.
+inline void evaluate_slopes(const Interval& at, int step) {
+  Shared& m = at.m;
+  const int half = threadIdx.x / kLanes, first = step * kStages;
+  __syncthreads();
+  read<kArguments>(at.stored + (kArgumentsAt + first * kArguments), kStages, [&](int s) { return m.arguments[s]; });
+  if constexpr (kOrder > 1)
+    read<kExtended>(at.stored + (kSlopeAdjointsAt + first * kExtended), kStages,
+                    [&](int s) { return m.slope_adjoints[s]; });
+  __syncthreads();
+  for (int stage = threadIdx.x % kLanes; stage < kStages; stage += kLanes) {
+    if (half == 0) Rate::jacobian(m.arguments[stage], nullptr, at.hoisted, m.entries[stage]);
+    if constexpr (kOrder > 1)
+      if (half == 1)
+        Rate::hessian(m.arguments[stage], m.slope_adjoints[stage], nullptr, at.hoisted, m.second[stage]);
+  }
+  __syncthreads();
+}
+
 // A thread's column: tangents of the path, and the half's rows of the Hessian.
 struct Column {
   int input, half;
@@ -63,7 +116,8 @@ struct Column {
       add_curvature<Point>(m, m.point_second[point], fraction, tangent);
   }
 
-  void evaluate_stage(Shared& m, int step, int stage) {
+  // Adds a stage's slope to the tangents at the step's end.
+  void evaluate_stage(Shared& m, int step, int stage, double (&end)[kExtended]) {
     double tangent[kArguments], slope[kExtended] = {};
 #pragma unroll
     for (int r = 0; r < kStates; ++r) tangent[r] = path[r];
@@ -74,8 +128,11 @@ struct Column {
         tangent[r] = fma(kSize * kA[stage][j], m.slope_tangents[j][r][input], tangent[r]);
     set_controls(fraction_of(step, stage), tangent);
     Rate::times(m.entries[stage], tangent, slope);
+    if (stage + 1 < kStages)
 #pragma unroll
-    for (int r = 0; r < kExtended; ++r) m.slope_tangents[stage][r][input] = slope[r];
+      for (int r = 0; r < kStates; ++r) m.slope_tangents[stage][r][input] = slope[r];
+#pragma unroll
+    for (int r = 0; r < kExtended; ++r) end[r] = fma(kSize * kB[stage], slope[r], end[r]);
     if constexpr (kOrder > 1) add_curvature<Rate>(m, m.second[stage], fraction_of(step, stage), tangent);
   }
 
@@ -86,20 +143,14 @@ struct Column {
     evaluate_point(m, 0);
 #pragma unroll 1
     for (int step = 0; step < kSteps; ++step) {
-      __syncthreads();
-      for (int stage = threadIdx.x % kLanes; stage < kStages; stage += kLanes) {
-        const int slope = step * kStages + stage;
-        if (half == 0) Rate::jacobian(m.arguments[slope], nullptr, at.hoisted, m.entries[stage]);
-        if (kOrder > 1 && half == 1)
-          Rate::hessian(m.arguments[slope], m.slope_adjoints[slope], nullptr, at.hoisted, m.second[stage]);
-      }
-      __syncthreads();
-#pragma unroll 1
-      for (int stage = 0; stage < kStages; ++stage) evaluate_stage(m, step, stage);
-#pragma unroll 1
-      for (int j = 0; j < kStages; ++j)
+      evaluate_slopes(at, step);
+      double end[kExtended];
 #pragma unroll
-        for (int r = 0; r < kExtended; ++r) path[r] = fma(kSize * kB[j], m.slope_tangents[j][r][input], path[r]);
+      for (int r = 0; r < kExtended; ++r) end[r] = path[r];
+#pragma unroll 1
+      for (int stage = 0; stage < kStages; ++stage) evaluate_stage(m, step, stage, end);
+#pragma unroll
+      for (int r = 0; r < kExtended; ++r) path[r] = end[r];
       if ((step + 1) % kStepsPerSubinterval == 0) evaluate_point(m, (step + 1) / kStepsPerSubinterval);
     }
 #pragma unroll
@@ -117,12 +168,12 @@ struct Column {
         double tangent[Margin::kArguments], found[Margin::kValues] = {};
 #pragma unroll
         for (int e = 0; e < Margin::kArguments; ++e) tangent[e] = m.value_tangents[value_of<Group>(k, e)][input];
-        Margin::times(m.margin_entries + Group::kEntriesAt + k * Margin::kEntries, tangent, found);
+        Margin::times(m.margin_entries + Group::entries_of(k), tangent, found);
 #pragma unroll
         for (int e = 0; e < Margin::kValues; ++e) at.jacobian[output_of<Group>(k, e) * kInputs + input] = found[e];
         if constexpr (kOrder > 1) {
           double product[Margin::kArguments] = {};
-          Margin::hessian_times(m.margin_second + Group::kSecondAt + k * Margin::kSecond, tangent, product);
+          Margin::hessian_times(m.margin_second + Group::second_of(k), tangent, product);
 #pragma unroll
           for (int e = 0; e < Margin::kArguments; ++e)
 #pragma unroll

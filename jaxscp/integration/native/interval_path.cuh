@@ -1,78 +1,136 @@
-// Path and outputs of an interval, with the entries of Jacobians and Hessians at its points, in the steps of
-// ``forward.h``.
+// Path and outputs of an interval, and adjoints, by one thread in the steps of ``forward.h`` and ``adjoint.h``.
 #pragma once
 
 #include "interval.cuh"
 
-inline void note_point(const Interval& at, int point) {
-  double* to = at.m.point_arguments[point];
-  by_threads(kStates, [&](int r) { to[r] = at.m.state[r]; });
-  write_controls(at, fraction_of(point), to);
-}
+struct Path {
+  const double *w, *hoisted, *point_data, *ends_data, *mask, *multipliers;
+  double* outputs;
+  Strided stored;
+  double state[kExtended], values[kPoints * Point::kValues], state_adjoint[kStates];
 
-// State at the end; arguments of every slope and point.
-inline void integrate(const Interval& at) {
-  Shared& m = at.m;
-  by_threads(kExtended, [&](int r) { m.state[r] = r < kStates ? at.w[r] : 0.0; });
-  note_point(at, 0);
-#pragma unroll 1
-  for (int step = 0; step < kSteps; ++step) {
-#pragma unroll 1
-    for (int stage = 0; stage < kStages; ++stage) {
-      double* arguments = m.arguments[step * kStages + stage];
-      by_threads(kStates, [&](int r) {
-        double sum = m.state[r];
-        for (int j = 0; j < stage; ++j) sum = fma(kSize * kA[stage][j], m.slopes[j][r], sum);
-        arguments[r] = sum;
-      });
-      write_controls(at, fraction_of(step, stage), arguments);
-      __syncthreads();
-      if (threadIdx.x < kWarp) {
-        double found[kExtended];
-        Rate::values(arguments, nullptr, at.hoisted, found);
-        if (threadIdx.x == 0)
-          for (int r = 0; r < kExtended; ++r) m.slopes[stage][r] = found[r];
-      }
-      __syncthreads();
+  void write_controls(double fraction, double* arguments) const {
+    for (int k = 0; k < kControls; ++k) {
+      const double first = w[kStates + k], last = w[kStates + kControls + k];
+      arguments[kStates + k] = fma(fraction, last - first, first);
     }
-    by_threads(kExtended, [&](int r) {
-      for (int j = 0; j < kStages; ++j) m.state[r] = fma(kSize * kB[j], m.slopes[j][r], m.state[r]);
-    });
-    if ((step + 1) % kStepsPerSubinterval == 0) note_point(at, (step + 1) / kStepsPerSubinterval);
   }
-  __syncthreads();
-}
 
-inline void find_outputs(const Interval& at) {
-  Shared& m = at.m;
-  by_threads(kExtended, [&](int r) { at.outputs[r] = m.state[r]; });
-  by_threads(kPoints, [&](int p) {
-    Point::values(m.point_arguments[p], at.point_data, at.hoisted, m.values + p * Point::kValues);
-    if constexpr (kOrder > 0) Point::jacobian(m.point_arguments[p], at.point_data, at.hoisted, m.point_entries[p]);
-  });
-  by_threads(1, [&](int) {
-    Ends::values(at.w, at.ends_data, at.hoisted, at.outputs + kEndsBegin);
-    if constexpr (kOrder > 0) Ends::jacobian(at.w, at.ends_data, at.hoisted, m.ends_entries);
+  // Values at a point, from the state there.
+  void evaluate_point(int point) {
+    double arguments[kArguments];
+    for (int r = 0; r < kStates; ++r) arguments[r] = state[r];
+    write_controls(fraction_of(point), arguments);
+    Point::values(arguments, point_data, hoisted, values + point * Point::kValues);
+    if constexpr (kOrder > 0)
+      Point::jacobian(arguments, point_data, hoisted, stored + (kPointEntriesAt + point * Point::kEntries));
     if constexpr (kOrder > 1)
-      Ends::hessian(at.w, at.multipliers + kEndsBegin, at.ends_data, at.hoisted, m.ends_second);
-  });
-  __syncthreads();
-  for_groups([&](auto group) {
-    using Group = decltype(group);
-    using Margin = typename Group::Margin;
-    by_threads(Group::kInstances, [&](int k) {
-      double values[Margin::kArguments], found[Margin::kValues], multipliers[Margin::kValues];
-      for (int e = 0; e < Margin::kArguments; ++e) values[e] = m.values[value_of<Group>(k, e)];
-      Margin::values(values, at.mask, at.hoisted, found);
-      for (int e = 0; e < Margin::kValues; ++e) at.outputs[output_of<Group>(k, e)] = found[e];
-      if constexpr (kOrder > 0)
-        Margin::jacobian(values, at.mask, at.hoisted, m.margin_entries + Group::kEntriesAt + k * Margin::kEntries);
-      if constexpr (kOrder > 1) {
-        for (int e = 0; e < Margin::kValues; ++e) multipliers[e] = at.multipliers[output_of<Group>(k, e)];
-        double* second = m.margin_second + Group::kSecondAt + k * Margin::kSecond;
-        Margin::hessian(values, multipliers, at.mask, at.hoisted, second);
+      for (int k = 0; k < kArguments; ++k) stored[kPointArgumentsAt + point * kArguments + k] = arguments[k];
+  }
+
+  // State at the end, and values at the points.
+  void integrate() {
+    for (int r = 0; r < kExtended; ++r) state[r] = r < kStates ? w[r] : 0.0;
+    evaluate_point(0);
+#pragma unroll 1
+    for (int step = 0; step < kSteps; ++step) {
+      double slopes[kStages][kExtended];
+#pragma unroll 1
+      for (int stage = 0; stage < kStages; ++stage) {
+        double arguments[kArguments];
+        for (int r = 0; r < kStates; ++r) arguments[r] = state[r];
+#pragma unroll 1
+        for (int j = 0; j < stage; ++j)
+          for (int r = 0; r < kStates; ++r) arguments[r] = fma(kSize * kA[stage][j], slopes[j][r], arguments[r]);
+        write_controls(fraction_of(step, stage), arguments);
+        if constexpr (kOrder > 0)
+          for (int k = 0; k < kArguments; ++k)
+            stored[kArgumentsAt + (step * kStages + stage) * kArguments + k] = arguments[k];
+        Rate::values(arguments, nullptr, hoisted, slopes[stage]);
+      }
+#pragma unroll 1
+      for (int j = 0; j < kStages; ++j)
+        for (int r = 0; r < kExtended; ++r) state[r] = fma(kSize * kB[j], slopes[j][r], state[r]);
+      if ((step + 1) % kStepsPerSubinterval == 0) evaluate_point((step + 1) / kStepsPerSubinterval);
+    }
+  }
+
+  void find_outputs() {
+    for (int r = 0; r < kExtended; ++r) outputs[r] = state[r];
+    Ends::values(w, ends_data, hoisted, outputs + kEndsBegin);
+    if constexpr (kOrder > 0) Ends::jacobian(w, ends_data, hoisted, stored + kEndsEntriesAt);
+    if constexpr (kOrder > 1) Ends::hessian(w, multipliers + kEndsBegin, ends_data, hoisted, stored + kEndsSecondAt);
+    for_groups([&](auto group) {
+      using Group = decltype(group);
+      using Margin = typename Group::Margin;
+#pragma unroll 1
+      for (int k = 0; k < Group::kInstances; ++k) {
+        double of_margin[Margin::kArguments], found[Margin::kValues], weights[Margin::kValues];
+        for (int e = 0; e < Margin::kArguments; ++e) of_margin[e] = values[value_of<Group>(k, e)];
+        Margin::values(of_margin, mask, hoisted, found);
+        for (int e = 0; e < Margin::kValues; ++e) outputs[output_of<Group>(k, e)] = found[e];
+        if constexpr (kOrder > 0)
+          Margin::jacobian(of_margin, mask, hoisted, stored + (kMarginEntriesAt + Group::entries_of(k)));
+        if constexpr (kOrder > 1) {
+          for (int e = 0; e < Margin::kValues; ++e) weights[e] = multipliers[output_of<Group>(k, e)];
+          Margin::hessian(of_margin, weights, mask, hoisted, stored + (kMarginSecondAt + Group::second_of(k)));
+        }
       }
     });
-  });
-  __syncthreads();
-}
+  }
+
+  // Adjoints of the values at the points, in their place.
+  void find_value_adjoints() {
+    for_groups([&](auto group) {
+      using Group = decltype(group);
+      using Margin = typename Group::Margin;
+#pragma unroll 1
+      for (int k = 0; k < Group::kInstances; ++k) {
+        double sums[Margin::kArguments] = {}, weights[Margin::kValues];
+        for (int e = 0; e < Margin::kValues; ++e) weights[e] = multipliers[output_of<Group>(k, e)];
+        Margin::transposed(stored + (kMarginEntriesAt + Group::entries_of(k)), weights, sums);
+        for (int e = 0; e < Margin::kArguments; ++e) values[value_of<Group>(k, e)] = sums[e];
+      }
+    });
+  }
+
+  // Adds the adjoint of the state from the values at a point, and keeps their Hessian.
+  void add_point_adjoint(int point) {
+    const double* adjoints = values + point * Point::kValues;
+    double sums[kArguments] = {};
+    Point::transposed(stored + (kPointEntriesAt + point * Point::kEntries), adjoints, sums);
+    for (int r = 0; r < kStates; ++r) state_adjoint[r] += sums[r];
+    Point::hessian(stored + (kPointArgumentsAt + point * kArguments), adjoints, point_data, hoisted,
+                   stored + (kPointSecondAt + point * Point::kSecond));
+  }
+
+  // Adjoints of the values and of the slopes, backwards from the multipliers of the outputs.
+  void find_adjoints() {
+    find_value_adjoints();
+    for (int r = 0; r < kStates; ++r) state_adjoint[r] = multipliers[r];
+    add_point_adjoint(kPoints - 1);
+#pragma unroll 1
+    for (int step = kSteps - 1; step >= 0; --step) {
+      double stage_adjoints[kStages][kStates];
+#pragma unroll 1
+      for (int stage = kStages - 1; stage >= 0; --stage) {
+        const int slope = step * kStages + stage;
+        double adjoints[kExtended], entries[Rate::kMostEntries], sums[kArguments] = {};
+        for (int r = 0; r < kExtended; ++r)
+          adjoints[r] = kB[stage] * (r < kStates ? state_adjoint[r] : multipliers[kStates]);
+#pragma unroll 1
+        for (int i = stage + 1; i < kStages; ++i)
+          for (int r = 0; r < kStates; ++r) adjoints[r] = fma(kA[i][stage], stage_adjoints[i][r], adjoints[r]);
+        for (int r = 0; r < kExtended; ++r)
+          stored[kSlopeAdjointsAt + slope * kExtended + r] = adjoints[r] = kSize * adjoints[r];
+        Rate::jacobian(stored + (kArgumentsAt + slope * kArguments), nullptr, hoisted, entries);
+        Rate::transposed(entries, adjoints, sums);
+        for (int r = 0; r < kStates; ++r) stage_adjoints[stage][r] = sums[r];
+      }
+#pragma unroll 1
+      for (int i = 0; i < kStages; ++i)
+        for (int r = 0; r < kStates; ++r) state_adjoint[r] += stage_adjoints[i][r];
+      if (step % kStepsPerSubinterval == 0) add_point_adjoint(step / kStepsPerSubinterval);
+    }
+  }
+};

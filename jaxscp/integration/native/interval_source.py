@@ -1,4 +1,4 @@
-"""The text before ``intervals.cu``: sizes, tableau, shared memory, and the functions of a problem.
+"""The text before ``paths.cu`` and ``intervals.cu``: sizes, tableau, arrays, and the functions of a problem.
 
 A function is a struct with its values, the nonzero entries of its derivatives, and products with these sparse matrices.
 The products are written out, so that their operands are in registers.
@@ -14,9 +14,12 @@ from jaxscp.integration.interval_tapes import IntervalTapes, first_inputs
 from jaxscp.integration.intervals import Intervals, OutputGroup
 
 WARP, HALVES = 32, 2
+PATH_THREADS = 32  # of a block whose threads integrate an interval each
 NUMBER = 8  # bytes
 EVEN_ROWS = "entries", "point_entries", "second", "point_second", "exchanged", "value_tangents"
 """Arrays whose rows have an even length, so that the compiler loads two numbers at once."""
+
+Shapes = dict[str, tuple[int, ...]]
 
 
 def halves(order: int) -> int:
@@ -30,7 +33,7 @@ def threads(inputs: int, order: int) -> int:
 
 
 class Source:
-    """The text, and the size of the shared memory.
+    """The texts, the size of the shared memory, and that of the numbers that the first kernel keeps for the second.
 
     Args:
         intervals: the integration.
@@ -43,55 +46,70 @@ class Source:
         self.intervals, self.tapes, self.inputs, self.order = intervals, tapes, inputs, order
         groups = intervals.path_outputs.groups
         self.groups = [_Group(g, f) for g, f in zip(groups, tapes.margins, strict=True)]
-        self.members = self._members()
-        self.text = "\n".join(self._lines()) + '\n#include "intervals.cu"\n'
+        self.stored_arrays, self.shared_arrays = self._stored_arrays(), self._shared_arrays()
+        common = "\n".join(self._lines())
+        self.paths, self.columns = (f'{common}\n#include "{name}.cu"\n' for name in ("paths", "intervals"))
+
+    @property
+    def stored(self) -> int:
+        """Numbers that are stored of an interval."""
+        return sum(int(np.prod(shape)) for shape in self.stored_arrays.values())
 
     @property
     def shared(self) -> int:
         """Bytes of the shared memory of a block."""
-        return NUMBER * sum(_even(int(np.prod(shape))) for shape in self.members.values())
+        return NUMBER * sum(_even(int(np.prod(shape))) for shape in self.shared_arrays.values())
 
-    def _members(self) -> dict[str, tuple[int, ...]]:
-        """Arrays in shared memory: names and shapes. One that a lower order does not need has a single number."""
-        intervals, tapes = self.intervals, self.tapes
-        n, stages, points = intervals.states, intervals.method.stages, intervals.points
-        slopes, arguments, values = (
-            intervals.steps * stages,
-            tapes.rate.arguments,
-            points * tapes.point.values,
-        )
-        of_halves = HALVES * -(-self.inputs // HALVES)
-        found = {
-            "arguments": (slopes, arguments),
-            "point_arguments": (points, arguments),
-            "values": (values,),
-            "state": (n + 1,),
-            "slopes": (stages, n + 1),
+    def _entries(self, order: int) -> Shapes:
+        """Entries of derivatives of an order at points and ends, and of margins: names and shapes."""
+        tapes, points = self.tapes, self.intervals.points
+        count = lambda f: len((f.jacobian, f.hessian)[order - 1])  # noqa: E731
+        name = ("entries", "second")[order - 1]
+        return {
+            f"point_{name}": (points, count(tapes.point)),
+            f"ends_{name}": (count(tapes.ends),),
+            f"margin_{name}": (sum(g.instances * count(g.margin) for g in self.groups),),
         }
+
+    def _stored_arrays(self) -> Shapes:
+        """Arrays that the first kernel keeps: names and shapes. One that a lower order does not need is empty."""
+        intervals, arguments = self.intervals, self.tapes.rate.arguments
+        slopes = intervals.steps * intervals.method.stages
+        first_order = {"arguments": (slopes, arguments), **self._entries(1)}
+        second_order = {
+            "point_arguments": (intervals.points, arguments),
+            "slope_adjoints": (slopes, intervals.states + 1),
+            **self._entries(2),
+        }
+        return self._up_to_order(first_order, second_order, least=0)
+
+    def _shared_arrays(self) -> Shapes:
+        """Arrays in shared memory: names and shapes. One that a lower order does not need has a single number."""
+        n, stages, tapes = self.intervals.states, self.intervals.method.stages, self.tapes
+        of_halves = HALVES * -(-self.inputs // HALVES)
         first_order = {
+            "arguments": (stages, tapes.rate.arguments),
             "entries": (stages, len(tapes.rate.jacobian)),
-            "point_entries": (points, len(tapes.point.jacobian)),
-            "ends_entries": (len(tapes.ends.jacobian),),
-            "margin_entries": (sum(g.instances * len(g.margin.jacobian) for g in self.groups),),
-            "slope_tangents": (stages, n + 1, self.inputs),
-            "value_tangents": (values, of_halves),
+            "slope_tangents": (stages - 1, n, self.inputs),
+            "value_tangents": (self.intervals.points * tapes.point.values, of_halves),
+            **self._entries(1),
         }
         second_order = {
+            "slope_adjoints": (stages, n + 1),
             "second": (stages, len(tapes.rate.hessian)),
-            "point_second": (points, len(tapes.point.hessian)),
-            "ends_second": (len(tapes.ends.hessian),),
-            "margin_second": (sum(g.instances * len(g.margin.hessian) for g in self.groups),),
-            "value_adjoints": (values,),
-            "slope_adjoints": (slopes, n + 1),
-            "stage_adjoints": (stages, n),
-            "state_adjoint": (n,),
             "exchanged": (of_halves, n),
+            **self._entries(2),
         }
-        for order, members in enumerate((first_order, second_order), start=1):
-            needed = self.order >= order
-            found |= {name: shape if needed else (1,) * len(shape) for name, shape in members.items()}
-        some = {name: tuple(max(1, size) for size in shape) for name, shape in found.items()}
-        return {name: (*v[:-1], _even(v[-1])) if name in EVEN_ROWS else v for name, v in some.items()}
+        found = self._up_to_order(first_order, second_order, least=1)
+        return {name: (*v[:-1], _even(v[-1])) if name in EVEN_ROWS else v for name, v in found.items()}
+
+    def _up_to_order(self, first_order: Shapes, second_order: Shapes, least: int) -> Shapes:
+        """Arrays that are needed up to the order; ``least`` numbers along each axis of the others."""
+        found = {}
+        for order, arrays in enumerate((first_order, second_order), start=1):
+            for name, shape in arrays.items():
+                found[name] = tuple(max(least, size) if self.order >= order else least for size in shape)
+        return found
 
     def _lines(self) -> Iterator[str]:
         intervals, tapes, method = self.intervals, self.tapes, self.intervals.method
@@ -112,19 +130,26 @@ class Source:
             "Stages": method.stages,
             "Points": intervals.points,
             "Threads": threads(self.inputs, self.order),
+            "PathThreads": PATH_THREADS,
             "Halves": halves(self.order),
             "PointData": tapes.point.data,
             "EndsData": tapes.ends.data,
             "Hoisted": hoisted,
             "Shared": self.shared // NUMBER,
+            "MarginEntries": sum(g.instances * len(g.margin.jacobian) for g in self.groups),
+            "MarginSecond": sum(g.instances * len(g.margin.hessian) for g in self.groups),
         }
+        begin = 0
+        for name, shape in self.stored_arrays.items():
+            sizes[f"{name.title().replace('_', '')}At"] = begin
+            begin += int(np.prod(shape))
         yield COMPARISONS
         yield from (f"constexpr int k{name} = {value};" for name, value in sizes.items())
         yield f"__constant__ double kC[kStages] = {{{_row(method.c)}}};"
         yield f"__constant__ double kB[kStages] = {{{_row(method.b)}}};"
         yield f"__constant__ double kA[kStages][kStages] = {{{', '.join(f'{{{_row(a)}}}' for a in method.a)}}};"
         yield "struct Shared {"
-        for name, shape in self.members.items():
+        for name, shape in self.shared_arrays.items():
             yield f"  alignas(16) double {name}{''.join(f'[{size}]' for size in shape)};"
         yield "};"
         first = first_inputs(tapes.rate.jacobian, intervals.states, self.inputs)
@@ -137,9 +162,13 @@ class Source:
         first = entries = second = 0
         for i, g in enumerate(self.groups):
             numbers = {"Rows": g.rows, "Size": g.size, "Instances": g.instances, "First": first}
-            numbers |= {"EntriesAt": entries, "SecondAt": second}
             constants = ", ".join(f"k{name} = {value}" for name, value in numbers.items())
-            yield f"struct Group{i} {{ using Margin = Margin{i}; static constexpr int {constants}; }};"
+            yield f"struct Group{i} {{"
+            yield f"  using Margin = Margin{i};"
+            yield f"  static constexpr int {constants};"
+            yield f"  static constexpr int entries_of(int k) {{ return {entries} + k * Margin::kEntries; }}"
+            yield f"  static constexpr int second_of(int k) {{ return {second} + k * Margin::kSecond; }}"
+            yield "};"
             first += g.rows
             entries += g.instances * len(g.margin.jacobian)
             second += g.instances * len(g.margin.hessian)
@@ -174,7 +203,11 @@ class _Function:
         f = self.function
         yield f"struct {self.name} {{"
         sizes = {"Arguments": f.arguments, "Values": f.values, "MostValues": max(1, f.values)}
-        sizes |= {"Entries": len(f.jacobian), "Second": len(f.hessian)}
+        sizes |= {
+            "Entries": len(f.jacobian),
+            "MostEntries": max(1, len(f.jacobian)),
+            "Second": len(f.hessian),
+        }
         yield from (f"  static constexpr int k{name} = {value};" for name, value in sizes.items())
         yield from self.evaluation("values", 0, range(f.values))
         yield from self.evaluation("jacobian", 0, range(f.values, f.values + len(f.jacobian)))
@@ -193,7 +226,8 @@ class _Function:
         f, tape = self.function, (self.function.first, self.function.second)[order]
         of_multipliers = "const double* y, " if order else ""
         constants = "const double* d, const double* hoisted"
-        yield f"  static void {name}(const double* a, {of_multipliers}{constants}, double* to) {{"
+        yield "  template <class From, class To>"
+        yield f"  static void {name}(const From& a, {of_multipliers}{constants}, To&& to) {{"
         inputs = [
             *(f"a[{i}]" for i in range(f.arguments)),
             *(f"y[{i}]" for i in range(f.values)),
@@ -234,8 +268,8 @@ def _both_triangles(lower: np.ndarray) -> list[tuple[int, int, int]]:
 
 def _product(name: str, entries: Iterable[tuple[int, int, int]]) -> Iterator[str]:
     """A function: to += matrix * from, for a sparse matrix with (entry, row, column)."""
-    yield "  template <class From, class To>"
-    yield f"  static void {name}(const double* e, const From& from, To& to) {{"
+    yield "  template <class Entries, class From, class To>"
+    yield f"  static void {name}(const Entries& e, const From& from, To& to) {{"
     yield from (f"    to[{r}] = fma(e[{i}], from[{c}], to[{r}]);" for i, r, c in entries)
     yield "  }"
 
