@@ -18,6 +18,8 @@ import numpy as np
 from jaxscp.backends import libraries
 
 OLDEST = (8, 0)  # compute capability: the first whose tensor cores add float64
+RESERVED = 1024  # bytes of a block's shared memory that CUDA takes
+MOST_BLOCKS = 8  # that share a multiprocessor
 
 
 def capability() -> str | None:
@@ -38,6 +40,16 @@ def shared_memory(capability: str) -> int:
     """Bytes of shared memory that a block can have (CUDA C++ Programming Guide, "Technical Specifications")."""
     kibibytes = {"80": 163, "87": 163, "90": 227, "100": 227, "103": 227}
     return 1024 * kibibytes.get(capability, 99)
+
+
+def shared_memory_of_multiprocessor(capability: str) -> int:
+    """Bytes of shared memory of a multiprocessor, which its blocks and CUDA share."""
+    return shared_memory(capability) + RESERVED
+
+
+def blocks(capability: str, shared: int) -> int:
+    """Blocks of so many bytes of shared memory that a multiprocessor can run at once, up to a number that suffices."""
+    return min(MOST_BLOCKS, shared_memory_of_multiprocessor(capability) // (shared + RESERVED))
 
 
 def launches(library: libraries.Library) -> bool:

@@ -21,10 +21,6 @@ from jaxscp.integration.intervals import IntervalData, IntervalOutputs, Interval
 from jaxscp.integration.native import interval_source
 
 MOST_THREADS = 1024  # of a block
-RESERVED, MOST_BLOCKS = (
-    1024,
-    8,
-)  # bytes of a block's shared memory that CUDA takes; blocks on a multiprocessor at once
 
 
 def supports(w: Array) -> bool:
@@ -38,7 +34,7 @@ class Kernels(NamedTuple):
     paths: launch.Kernel
     """Integrates an interval by one thread."""
     stored: int
-    """Numbers that it keeps of an interval."""
+    """Numbers of an interval that it stores for the other one; those of all intervals of a batch alternate."""
     columns: launch.Kernel | None
     """Finds derivatives from these, by a block an interval; None at order zero."""
 
@@ -70,7 +66,7 @@ def kernels(
         )
         return None
     texts = [source.paths, source.columns][: 1 + (order > 0)]
-    blocks = min(MOST_BLOCKS, (most + RESERVED) // (source.shared + RESERVED))
+    blocks = cuda.blocks(capability, source.shared)
     with ThreadPoolExecutor() as pool:  # compilation takes long, and does not hold Python's lock
         cubins = [c for c in pool.map(lambda text: _cubin(text, capability, blocks), texts) if c is not None]
     if len(cubins) < len(texts):

@@ -320,7 +320,7 @@ def test_code_of_other_packages_is_not_cached(scenario, tmp_path):
     assert not cached_planners(tmp_path)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_solver_on_the_host_plans_though_it_cannot_be_cached(scenario, tmp_path):
     planner = jaxscp.Planner(nodes=10, method=jaxscp.PTR(max_iterations=1, conic=OSQP()), samples=20)
     expected = planner(scenario)

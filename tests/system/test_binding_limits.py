@@ -68,7 +68,7 @@ def test_the_plan_is_an_optimum(limits):
     assert bool(solution.certificate.passed())
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_looser_limit_costs_no_more():
     """Where two plans take the same way; the optimum falls as the limit rises."""
     costs = [float(PLANNER(limited(limits)).cost) for limits in SPEEDS]

@@ -31,7 +31,7 @@ def test_faces_of_any_length_give_the_same_plan():
     assert position(found)[:, 2].max() < 1.6
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_quaternion_nearly_of_unit_norm_is_an_attitude():
     plan = PLANNER(put(room(), lambda s: s.start.attitude, [1.0009, 0.0, 0.0, 0.0]))
     assert status(plan) == "converged"

@@ -49,7 +49,7 @@ def test_units_of_a_typical_scene_are_near_one():
     np.testing.assert_array_less(np.abs(np.log([of.length, of.time, of.mass, of.cost])), np.log(2.0))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_units_and_back():
     by = units_of(scene())
     path = plan().trajectory.with_dynamics(None)

@@ -20,7 +20,6 @@ THREADS = 256  # per program
 BLOCKS = 4  # programs on a multiprocessor at once
 ALONE = 512  # threads of a program that is alone on its multiprocessor
 WARP = 32
-RESERVED = 1024  # bytes of a multiprocessor's shared memory that no block can have
 
 
 class Sizes(NamedTuple):
@@ -80,7 +79,7 @@ def kernel(sizes: Sizes, capability: str) -> bytes | None:
         JAXSCP_THREADS=THREADS,
         JAXSCP_BLOCKS=BLOCKS,
         JAXSCP_ALONE=ALONE,
-        JAXSCP_SHARED=cuda.shared_memory(capability) + RESERVED,
+        JAXSCP_SHARED=cuda.shared_memory_of_multiprocessor(capability),
     )
 
 

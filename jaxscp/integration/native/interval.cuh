@@ -1,5 +1,5 @@
-// Sizes of an interval, and numbers that ``paths.cu`` keeps for ``intervals.cu``; ``interval_source.py`` writes what comes
-// before.
+// Sizes of an interval, and numbers that ``paths.cu`` stores for ``intervals.cu``; ``interval_source.py`` writes what
+// comes before.
 #pragma once
 
 constexpr int kExtended = kStates + 1, kArguments = kStates + kControls;

@@ -94,7 +94,7 @@ struct Path {
     });
   }
 
-  // Adds the adjoint of the state from the values at a point, and keeps their Hessian.
+  // Adds the adjoint of the state from the values at a point, and stores their Hessian.
   void add_point_adjoint(int point) {
     const double* adjoints = values + point * Point::kValues;
     double sums[kArguments] = {};

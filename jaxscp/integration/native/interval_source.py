@@ -33,7 +33,7 @@ def threads(inputs: int, order: int) -> int:
 
 
 class Source:
-    """The texts, the size of the shared memory, and that of the numbers that the first kernel keeps for the second.
+    """The texts of both kernels, and the sizes of their arrays.
 
     Args:
         intervals: the integration.
@@ -52,7 +52,7 @@ class Source:
 
     @property
     def stored(self) -> int:
-        """Numbers that are stored of an interval."""
+        """Numbers of an interval that the first kernel stores for the second."""
         return sum(int(np.prod(shape)) for shape in self.stored_arrays.values())
 
     @property
@@ -72,7 +72,7 @@ class Source:
         }
 
     def _stored_arrays(self) -> Shapes:
-        """Arrays that the first kernel keeps: names and shapes. One that a lower order does not need is empty."""
+        """Arrays that the first kernel stores for the second: names and shapes. Those of higher orders are empty."""
         intervals, arguments = self.intervals, self.tapes.rate.arguments
         slopes = intervals.steps * intervals.method.stages
         first_order = {"arguments": (slopes, arguments), **self._entries(1)}

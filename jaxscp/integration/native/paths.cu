@@ -1,4 +1,4 @@
-// The kernel that integrates an interval by one thread. It keeps what ``intervals.cu`` needs for derivatives up to order
+// The kernel that integrates an interval by one thread. It stores what ``intervals.cu`` needs for derivatives up to order
 // kOrder: all that does not depend on a column.
 #include "interval_path.cuh"
 

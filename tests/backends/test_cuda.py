@@ -1,0 +1,19 @@
+"""What is known of NVIDIA GPUs, without one."""
+
+import pytest
+
+from jaxscp.backends import cuda
+
+
+@pytest.mark.parametrize("capability", ["80", "86", "90"])
+def test_blocks_fit_into_a_multiprocessor_and_one_more_would_not(capability):
+    """CUDA takes 1 KiB of each block (CUDA C++ Programming Guide, "Shared Memory" of each capability)."""
+    whole = cuda.shared_memory_of_multiprocessor(capability)
+    for shared in (20_000, 43_008, cuda.shared_memory(capability)):
+        count = cuda.blocks(capability, shared)
+        assert count * (shared + 1024) <= whole
+        assert count == cuda.MOST_BLOCKS or (count + 1) * (shared + 1024) > whole
+
+
+def test_the_largest_block_is_alone():
+    assert cuda.blocks("90", cuda.shared_memory("90")) == 1
