@@ -20,6 +20,7 @@ from jaxscp.backends import libraries
 OLDEST = (8, 0)  # compute capability: the first whose tensor cores add float64
 RESERVED = 1024  # bytes of a block's shared memory that CUDA takes
 MOST_BLOCKS = 8  # that share a multiprocessor
+REGISTERS_OF_MULTIPROCESSOR, REGISTERS = 65_536, 168  # all, and those that let a thread hold some 80 numbers
 
 
 def capability() -> str | None:
@@ -47,9 +48,16 @@ def shared_memory_of_multiprocessor(capability: str) -> int:
     return shared_memory(capability) + RESERVED
 
 
-def blocks(capability: str, shared: int) -> int:
-    """Blocks of so many bytes of shared memory that a multiprocessor can run at once, up to a number that suffices."""
-    return min(MOST_BLOCKS, shared_memory_of_multiprocessor(capability) // (shared + RESERVED))
+def blocks(capability: str, shared: int, threads: int) -> int:
+    """Blocks that a multiprocessor should run at once, at least one and at most ``MOST_BLOCKS``.
+
+    Args:
+        capability: compute capability of the GPU.
+        shared: bytes of shared memory of a block.
+        threads: threads of a block, each with ``REGISTERS`` or more.
+    """
+    by_memory = shared_memory_of_multiprocessor(capability) // (shared + RESERVED)
+    return max(1, min(MOST_BLOCKS, by_memory, REGISTERS_OF_MULTIPROCESSOR // (REGISTERS * threads)))
 
 
 def launches(library: libraries.Library) -> bool:

@@ -139,7 +139,7 @@ def _in_cpp(intervals: Intervals, w: Array, record: Record, order: int) -> Calla
 
 
 def _by_blocks(intervals: Intervals, w: Array, record: Record, order: int) -> Callable[..., Any] | None:
-    """Integration by CUDA kernels with a block an interval; None if there are none, or none is needed."""
+    """Integration by CUDA kernels with path outputs; None if there are none, or none is needed."""
     capability = cuda.capability()
     if capability is None or not in_cuda_blocks.supports(w) or intervals.path_outputs.empty:
         return None

@@ -66,7 +66,7 @@ def kernels(
         )
         return None
     texts = [source.paths, source.columns][: 1 + (order > 0)]
-    blocks = cuda.blocks(capability, source.shared)
+    blocks = cuda.blocks(capability, source.shared, threads)
     with ThreadPoolExecutor() as pool:  # compilation takes long, and does not hold Python's lock
         cubins = [c for c in pool.map(lambda text: _cubin(text, capability, blocks), texts) if c is not None]
     if len(cubins) < len(texts):

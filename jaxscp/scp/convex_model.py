@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxscp.core import batching
+from jaxscp.core.types import Flag
 from jaxscp.problem.scaled_time import ScaledTimeProblem
 from jaxscp.scp.active_set import active_set, nearest_dilation_limit, slacks
 from jaxscp.scp.hessian_convexification import LinearDynamics, convexified_along_horizon, projected
@@ -50,7 +51,10 @@ def convex_model(problem: ScaledTimeProblem, state: NewtonState) -> ConvexModel:
         gradient=jnp.zeros((problem.nodes, inputs), scale.dtype),
     )
     chosen = batching.where_needed(
-        state.full_hessian, lambda fixed, *_: _along_horizon(*fixed), (problem, state, scale), plain
+        state.full_hessian,
+        lambda fixed, _, needed: _along_horizon(*fixed, needed=needed),
+        (problem, state, scale),
+        plain,
     )
     hessian = chosen.hessian.at[-1].add(jnp.diag(1.0 - of_node))  # the last stage's U_{i+1} has no meaning
     if end is not None:
@@ -59,7 +63,7 @@ def convex_model(problem: ScaledTimeProblem, state: NewtonState) -> ConvexModel:
 
 
 def _along_horizon(
-    problem: ScaledTimeProblem, state: NewtonState, scale: Float[Array, "inputs"]
+    problem: ScaledTimeProblem, state: NewtonState, scale: Float[Array, "inputs"], needed: Flag
 ) -> _Quadratic:
     """Convexified along the horizon, with a penalty on leaving the last subproblem's active constraints."""
     n, stage = problem.state_size, problem.variables
@@ -82,7 +86,7 @@ def _along_horizon(
     if (end := _terminal_hessian(problem, state, scale)) is not None:
         final = final.at[:n, :n].add(end.rest)
     dynamics = LinearDynamics(state.linear.jacobian.end * scale / scale[:n, None], now.defect / scale[:n])
-    convex = convexified_along_horizon(penalised + 0.5 * proximal, dynamics, final)
+    convex = convexified_along_horizon(penalised + 0.5 * proximal, dynamics, final, needed)
     slack_gradient = active.penalty_gradient(slacks(problem, state.linear.outputs))
     gradient = ACTIVE_PENALTY * slack_gradient + convex.gradient
     return _Quadratic(

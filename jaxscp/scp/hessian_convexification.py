@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxscp.core import batching
 from jaxscp.core.trees import tree_where
-from jaxscp.core.types import Scalar
+from jaxscp.core.types import Flag, Scalar
 from jaxscp.linalg.eigen.dispatch import eigen, nearest
 
 FLOORS = (1e-4, 1e-2, 1.0)  # least curvature of a control's direction: the first floor that suffices is taken
@@ -51,6 +51,7 @@ def convexified_along_horizon(
     hessian: Float[Array, "intervals inputs inputs"],
     dynamics: LinearDynamics,
     final: Float[Array, "stage stage"],
+    needed: Flag | bool = True,
 ) -> Convex:
     """Convex blocks: curvature moves backwards from interval to interval.
 
@@ -58,6 +59,7 @@ def convexified_along_horizon(
         hessian: blocks of the Lagrangian, with penalties on active constraints.
         dynamics: linearised about the reference.
         final: curvature of the conditions at the last node.
+        needed: false for an element of a batch whose result is dropped; its blocks are not clipped, which takes long.
     """
     states = dynamics.defect.shape[1]
     stage = final.shape[0]
@@ -69,7 +71,7 @@ def convexified_along_horizon(
         step = jnp.concatenate([jacobian, control_columns])  # (x, U)_{i+1} = step w_i + offset
         offset = jnp.concatenate([defect, jnp.zeros(controls)])
         whole = block + step.T @ after @ step
-        before, convex, clipped = _convex_block(whole, stage)
+        before, convex, clipped = _convex_block(whole, stage, needed)
         return before, (convex, step.T @ (after @ offset), clipped)
 
     first, (convex, gradient, clipped) = jax.lax.scan(
@@ -81,7 +83,7 @@ def convexified_along_horizon(
     return Convex(convex, gradient, clipped.at[0].set(clipped[0] | (least < 0.0)))
 
 
-def _convex_block(whole: Float[Array, "n n"], stage: int):
+def _convex_block(whole: Float[Array, "n n"], stage: int, needed: Flag | bool):
     """Curvature passed on to the node before, the convex block, and whether it was clipped."""
     least, tries = _schur_complements(whole, stage)
     fine = _definite(jnp.stack([before for before, _ in tries]) + DEEPEST_CURVATURE * jnp.eye(stage))
@@ -92,7 +94,7 @@ def _convex_block(whole: Float[Array, "n n"], stage: int):
     def clipped(whole, *_):
         return _schur_complements(_clip(whole, FLOORS[0])[0], stage)[1][0]
 
-    before, convex = batching.where_needed(~jnp.any(fine), clipped, whole, found)
+    before, convex = batching.where_needed(needed & ~jnp.any(fine), clipped, whole, found)
     return before, convex, ~(fine[0] & (least >= FLOORS[0]))
 
 

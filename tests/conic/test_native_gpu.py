@@ -42,6 +42,8 @@ SHAPES = {
     "variables outnumber entries": {"nodes": 3, "variables": 18, "rows": 2, "coupled": 2, "norm": False},
     "too many coupled": {"nodes": 3, "variables": 6, "rows": 3, "cones": 1, "coupled": 4},
 }
+SMALL_MEMORY = 16 * 1024  # bytes of a multiprocessor, too few for these shapes' vectors and indices
+WITH_SMALL_MEMORY = "a chain too long for shared memory", "more rows than lanes"
 BY_NIGHT = (
     "a chain too long for shared memory",
     "one lane per row, and an odd column left",
@@ -52,7 +54,7 @@ BY_NIGHT = (
 TIERS = {"norm cost": [], **{name: [pytest.mark.nightly] for name in BY_NIGHT}}  # the others are slow
 
 
-def emulated(program, folder: Path) -> ctypes.CDLL:
+def emulated(program, folder: Path, *macros: str) -> ctypes.CDLL:
     """Library of the emulated kernel for a program's sizes, with a handler for CPUs."""
     headers = jax.ffi.include_dir()
     library = folder / "kernel.so"
@@ -60,7 +62,7 @@ def emulated(program, folder: Path) -> ctypes.CDLL:
     flags = ["-std=c++20", "-O1", "-fno-math-errno", "-fPIC", "-w", "-shared"]
     # Otherwise kernels of all sizes would share one block's static variables in the process.
     flags += ["-fno-gnu-unique"]
-    defined = [f"-DJAXSCP_SIZES={gpu.sizes_of(program)}", f"-DJAXSCP_THREADS={THREADS}"]
+    defined = [f"-DJAXSCP_SIZES={gpu.sizes_of(program)}", f"-DJAXSCP_THREADS={THREADS}", *macros]
     found = [
         "-isystem",
         headers,
@@ -75,15 +77,17 @@ def emulated(program, folder: Path) -> ctypes.CDLL:
 @pytest.fixture(
     scope="module",
     params=[
-        pytest.param(sizes, id=name, marks=TIERS.get(name, [pytest.mark.slow]))
+        pytest.param((name, sizes), id=name, marks=TIERS.get(name, [pytest.mark.slow]))
         for name, sizes in SHAPES.items()
     ],
 )
 def kernel(request, tmp_path_factory):
     """Programs of one shape, and the name of their kernel."""
-    programs = [program_of(seed, **request.param) for seed in range(3)]
+    shape, sizes = request.param
+    programs = [program_of(seed, **sizes) for seed in range(3)]
+    macros = [f"-DJAXSCP_SHARED={SMALL_MEMORY}"] if shape in WITH_SMALL_MEMORY else []
     name = f"jaxscp_test_kernel_{request.param_index}"
-    library = emulated(programs[0], tmp_path_factory.mktemp("kernel"))
+    library = emulated(programs[0], tmp_path_factory.mktemp("kernel"), *macros)
     assert libraries.register(library, native.TARGET, target=name)
     return programs, name
 

@@ -1,4 +1,4 @@
-"""The CUDA kernel with a block an interval, without a GPU: compiled for a CPU with emulated threads, and by NVRTC."""
+"""The CUDA kernels with path outputs, without a GPU: compiled for a CPU with emulated threads, and by NVRTC."""
 
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from jaxscp.integration import (
     native,
     tableaus,
 )
+from jaxscp.integration.intervals import PathOutputs
 from jaxscp.integration.native import interval_source
 from jaxscp.transcription import shooting
 from tests.support.flights import random_nodes, short_problem
@@ -58,6 +59,22 @@ def test_kernel_equals_jax(rate, function, tmp_path):
     case = random_case(*RATES[rate], tableaus.SIXTH_ORDER, order)
     expected = jax.jit(getattr(in_jax, function))(*case)
     assert_same(expected, jax.jit(emulated(tmp_path, order))(*case))
+
+
+def at_the_ends_alone(intervals, w, data, *multipliers):
+    """The case without rows at the points."""
+    rows = PathOutputs(at_ends=intervals.path_outputs.at_ends)
+    data = eqx.tree_at(lambda d: d.point, data, jnp.zeros((len(w), 0)))
+    alone = eqx.tree_at(
+        lambda i: i.path_outputs, intervals, rows, is_leaf=lambda v: isinstance(v, PathOutputs)
+    )
+    return (alone, w, data, *(eqx.tree_at(lambda m: m.points, m, ()) for m in multipliers))
+
+
+@needs_compiler
+def test_kernel_equals_jax_without_rows_at_the_points(tmp_path):
+    case = at_the_ends_alone(*random_case(*RATES["no parameters"], tableaus.CLASSICAL))
+    assert_same(jax.jit(in_jax.linearise_with_hessian)(*case), jax.jit(emulated(tmp_path, 2))(*case))
 
 
 @pytest.mark.nightly
@@ -118,8 +135,9 @@ def test_batch_elements_have_their_own_parameters_and_share_no_nan(tmp_path):
 
 @needs_nvidia
 @pytest.mark.parametrize("order", [0, 1, 2])
-def test_kernel_compiles(order):
-    intervals, w, data = random_case(*RATES["every operation"], tableaus.CLASSICAL, order=1)
+@pytest.mark.parametrize("part", [lambda *case: case, at_the_ends_alone], ids=["all rows", "ends alone"])
+def test_kernel_compiles(part, order):
+    intervals, w, data = part(*random_case(*RATES["every operation"], tableaus.CLASSICAL, order=1))
     tapes = interval_tapes.record(intervals, w.shape[1], data, order)
     kernels = in_cuda_blocks.kernels(intervals, tapes, w.shape[1], order, "90")
     assert kernels is not None

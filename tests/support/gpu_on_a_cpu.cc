@@ -2,7 +2,9 @@
 // the C++ for CPUs.
 
 #define JAXSCP_BLOCKS 1
+#ifndef JAXSCP_SHARED
 #define JAXSCP_SHARED (228 * 1024)
+#endif
 #define JAXSCP_ALONE JAXSCP_THREADS
 
 #include "xla/ffi/api/ffi.h"

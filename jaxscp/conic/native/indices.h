@@ -18,8 +18,9 @@ template <>
 struct IndexType<true> {
   using Type = unsigned short;
 };
-using Index = IndexType<kLayout.r <= 256 && kLayout.u <= 256 && kLayout.n <= 256 && kLayout.m <= 256>::Type;
-constexpr int kMostIndices = 16 * 1024, kFit = kForIndices / static_cast<int>(sizeof(Index));
+constexpr int kMostRows = larger_of(larger_of(kLayout.r, kLayout.u), larger_of(kLayout.n, kLayout.m));
+using Index = IndexType<kMostRows <= 256 && kMostRows * kLayout.n < 65535>::Type;  // 65535: no entry
+constexpr int kMostIndices = 32 * 1024 / sizeof(Index), kFit = kForIndices / static_cast<int>(sizeof(Index));
 constexpr int kFastIndices = kFit < kMostIndices ? kFit : kMostIndices;
 #else
 using Index = int;

@@ -44,17 +44,21 @@ constexpr int shared_memory_size(int warps, int of_vectors) {
   return warps * kWarpScratch + of_vectors +
          larger_of(larger_of(warps, 2) * kTileSize, 2 * (kTileSize + kPrefetched));
 }
-// Bytes of one of the blocks that share a multiprocessor. A block more is worth more than faster access to the chain's
-// vectors. ``kObjects``: of the objects in shared memory (``kernel.cu``), about.
-constexpr int kReserved = 1024, kObjects = 8192, kOfBlock = JAXSCP_SHARED / JAXSCP_BLOCKS - kReserved;
-constexpr int left_for_indices(int of_vectors) {
-  return kOfBlock - kObjects -
-         static_cast<int>(sizeof(double)) * shared_memory_size(JAXSCP_THREADS / kWarp, of_vectors);
+// Blocks share a multiprocessor, as many as fit: one more is worth more than faster access to the chain's vectors.
+// ``kObjects``: bytes of the objects in shared memory (``kernel.cu``), about; ``kLeastForIndices``: for ``indices.h``.
+constexpr int kReserved = 1024, kObjects = 8192, kLeastForIndices = 1536;
+constexpr int left_for_indices(int blocks, int of_vectors) {
+  const int numbers = shared_memory_size(JAXSCP_THREADS / kWarp, of_vectors);
+  return JAXSCP_SHARED / blocks - kReserved - kObjects - static_cast<int>(sizeof(double)) * numbers;
 }
-constexpr int kLeastForIndices = 1536;  // bytes
-constexpr bool kVectorsShared = left_for_indices(kSolutions) >= kLeastForIndices;
+constexpr int most_blocks() {
+  int blocks = JAXSCP_BLOCKS;
+  while (blocks > 1 && left_for_indices(blocks, 0) < kLeastForIndices) --blocks;
+  return blocks;
+}
+constexpr bool kVectorsShared = left_for_indices(most_blocks(), kSolutions) >= kLeastForIndices;
 constexpr int kChainVectors = kVectorsShared ? kSolutions : 0;
-constexpr int kForIndices = larger_of(left_for_indices(kChainVectors), kLeastForIndices);
+constexpr int kForIndices = larger_of(left_for_indices(most_blocks(), kChainVectors), kLeastForIndices);
 constexpr int shared_memory_size(int warps) { return shared_memory_size(warps, kChainVectors); }
 
 #if defined(JAXSCP_EMULATED_GPU)

@@ -7,7 +7,15 @@ struct Path {
   const double *w, *hoisted, *point_data, *ends_data, *mask, *multipliers;
   double* outputs;
   Strided stored;
-  double state[kExtended], values[kPoints * Point::kValues], state_adjoint[kStates];
+  double state[kExtended], state_adjoint[kStates];
+
+  Path(const double* w, const double* hoisted, const double* data, const double* multipliers, double* outputs,
+       Strided stored)
+      : w(w), hoisted(hoisted), point_data(data), ends_data(data + kPointData), mask(data + kPointData + kEndsData),
+        multipliers(multipliers), outputs(outputs), stored(stored) {}
+
+  // Values at the points, later their adjoints.
+  Strided values(int first) const { return stored + (kValuesAt + first); }
 
   void write_controls(double fraction, double* arguments) const {
     for (int k = 0; k < kControls; ++k) {
@@ -21,7 +29,7 @@ struct Path {
     double arguments[kArguments];
     for (int r = 0; r < kStates; ++r) arguments[r] = state[r];
     write_controls(fraction_of(point), arguments);
-    Point::values(arguments, point_data, hoisted, values + point * Point::kValues);
+    Point::values(arguments, point_data, hoisted, values(point * Point::kValues));
     if constexpr (kOrder > 0)
       Point::jacobian(arguments, point_data, hoisted, stored + (kPointEntriesAt + point * Point::kEntries));
     if constexpr (kOrder > 1)
@@ -66,7 +74,7 @@ struct Path {
 #pragma unroll 1
       for (int k = 0; k < Group::kInstances; ++k) {
         double of_margin[Margin::kArguments], found[Margin::kValues], weights[Margin::kValues];
-        for (int e = 0; e < Margin::kArguments; ++e) of_margin[e] = values[value_of<Group>(k, e)];
+        for (int e = 0; e < Margin::kArguments; ++e) of_margin[e] = values(0)[value_of<Group>(k, e)];
         Margin::values(of_margin, mask, hoisted, found);
         for (int e = 0; e < Margin::kValues; ++e) outputs[output_of<Group>(k, e)] = found[e];
         if constexpr (kOrder > 0)
@@ -89,14 +97,14 @@ struct Path {
         double sums[Margin::kArguments] = {}, weights[Margin::kValues];
         for (int e = 0; e < Margin::kValues; ++e) weights[e] = multipliers[output_of<Group>(k, e)];
         Margin::transposed(stored + (kMarginEntriesAt + Group::entries_of(k)), weights, sums);
-        for (int e = 0; e < Margin::kArguments; ++e) values[value_of<Group>(k, e)] = sums[e];
+        for (int e = 0; e < Margin::kArguments; ++e) values(0)[value_of<Group>(k, e)] = sums[e];
       }
     });
   }
 
   // Adds the adjoint of the state from the values at a point, and stores their Hessian.
   void add_point_adjoint(int point) {
-    const double* adjoints = values + point * Point::kValues;
+    const Strided adjoints = values(point * Point::kValues);
     double sums[kArguments] = {};
     Point::transposed(stored + (kPointEntriesAt + point * Point::kEntries), adjoints, sums);
     for (int r = 0; r < kStates; ++r) state_adjoint[r] += sums[r];

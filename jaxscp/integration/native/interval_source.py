@@ -75,13 +75,14 @@ class Source:
         """Arrays that the first kernel stores for the second: names and shapes. Those of higher orders are empty."""
         intervals, arguments = self.intervals, self.tapes.rate.arguments
         slopes = intervals.steps * intervals.method.stages
+        values = {"values": (intervals.points * self.tapes.point.values,)}
         first_order = {"arguments": (slopes, arguments), **self._entries(1)}
         second_order = {
             "point_arguments": (intervals.points, arguments),
             "slope_adjoints": (slopes, intervals.states + 1),
             **self._entries(2),
         }
-        return self._up_to_order(first_order, second_order, least=0)
+        return values | self._up_to_order(first_order, second_order, least=0)
 
     def _shared_arrays(self) -> Shapes:
         """Arrays in shared memory: names and shapes. One that a lower order does not need has a single number."""
@@ -224,9 +225,10 @@ class _Function:
     def evaluation(self, name: str, order: int, outputs: Sequence[int]) -> Iterator[str]:
         """A function that writes some outputs of a tape."""
         f, tape = self.function, (self.function.first, self.function.second)[order]
-        of_multipliers = "const double* y, " if order else ""
+        of_multipliers = "const Multipliers& y, " if order else ""
         constants = "const double* d, const double* hoisted"
-        yield "  template <class From, class To>"
+        also = "class Multipliers, " if order else ""
+        yield f"  template <class From, {also}class To>"
         yield f"  static void {name}(const From& a, {of_multipliers}{constants}, To&& to) {{"
         inputs = [
             *(f"a[{i}]" for i in range(f.arguments)),

@@ -9,9 +9,8 @@ extern "C" __global__ void __launch_bounds__(kPathThreads)
                   long long intervals) {
   const long long i = static_cast<long long>(blockIdx.x) * kPathThreads + threadIdx.x;
   if (i >= count) return;
-  data += i * (kPointData + kEndsData + kPoints);
-  Path path{w + i * kInputs, hoisted + i / intervals * kHoisted, data, data + kPointData,
-            data + kPointData + kEndsData, multipliers + i * kOutputs, outputs + i * kOutputs, {stored + i, count}};
+  Path path(w + i * kInputs, hoisted + i / intervals * kHoisted, data + i * (kPointData + kEndsData + kPoints),
+            multipliers + i * kOutputs, outputs + i * kOutputs, {stored + i, count});
   path.integrate();
   path.find_outputs();
   if constexpr (kOrder > 1) path.find_adjoints();
