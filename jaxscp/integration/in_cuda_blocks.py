@@ -34,7 +34,7 @@ class Kernels(NamedTuple):
     paths: launch.Kernel
     """Integrates an interval by one thread."""
     stored: int
-    """Numbers of an interval that it stores for the other one; those of all intervals of a batch alternate."""
+    """Numbers that it stores of each interval for the other kernel; intervals alternate in the array."""
     columns: launch.Kernel | None
     """Finds derivatives from these, by a block an interval; None at order zero."""
 

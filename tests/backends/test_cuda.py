@@ -1,4 +1,4 @@
-"""What is known of NVIDIA GPUs, without one."""
+"""Blocks that share a multiprocessor of an NVIDIA GPU; no GPU is needed."""
 
 import pytest
 

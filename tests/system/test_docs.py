@@ -22,7 +22,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 RUNNABLE = ("python", "sh")
 SLOW = [pytest.mark.slow]
 NIGHTLY = [pytest.mark.nightly]
-MARKS = {  # pages that compile for more than some seconds; pages that compile the same as the README run by night
+MARKS = {  # pages that compile for more than some seconds; the longest others run by night
     "README.md": SLOW,
     "docs/problems.md": SLOW,
     "docs/first_plan.md": SLOW,

@@ -72,7 +72,7 @@ class Source:
         }
 
     def _stored_arrays(self) -> Shapes:
-        """Arrays that the first kernel stores for the second: names and shapes. Those of higher orders are empty."""
+        """Arrays that the first kernel stores for the second: names and shapes; those of higher orders are empty."""
         intervals, arguments = self.intervals, self.tapes.rate.arguments
         slopes = intervals.steps * intervals.method.stages
         values = {"values": (intervals.points * self.tapes.point.values,)}
@@ -137,8 +137,8 @@ class Source:
             "EndsData": tapes.ends.data,
             "Hoisted": hoisted,
             "Shared": self.shared // NUMBER,
-            "MarginEntries": sum(g.instances * len(g.margin.jacobian) for g in self.groups),
-            "MarginSecond": sum(g.instances * len(g.margin.hessian) for g in self.groups),
+            "MarginEntries": self.stored_arrays["margin_entries"][0],
+            "MarginSecond": self.stored_arrays["margin_second"][0],
         }
         begin = 0
         for name, shape in self.stored_arrays.items():
