@@ -86,6 +86,7 @@ from . import mission as mission
 from . import monte_carlo as monte_carlo
 
 # --- compile, store, load ---
+from .backends.xla import compiler_options as compiler_options
 from .aot.aot import CompiledPlanner as CompiledPlanner
 from .solver.compiled import CompiledSolver as CompiledSolver
 from .solver.load import load as load

@@ -26,7 +26,12 @@ MOST_MAPPINGS = 20_000
 
 
 from jaxscp.aot import mappings  # noqa: E402, after the import hook
-from jaxscp.backends import libraries  # noqa: E402
+from jaxscp.backends import libraries, xla  # noqa: E402
+
+if jax.__version_info__ < (0, 12):  # later versions lack a flag, and XLA ends a process with an unknown flag
+    # the tests' own ``jit``, and their subprocesses, compile with the options of the package's programs
+    flags = (f"--{name}={str(value).lower()}" for name, value in xla.CPU_OPTIONS.items())
+    os.environ.setdefault("XLA_FLAGS", " ".join(flags))
 
 
 @pytest.fixture(params=libraries.LEVELS)

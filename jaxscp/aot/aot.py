@@ -14,7 +14,7 @@ import numpy as np
 from jax.core import Tracer
 
 from jaxscp.aot.pytree_spec import Spec, difference, spec_of
-from jaxscp.backends.xla import options
+from jaxscp.backends.xla import compiler_options
 from jaxscp.core.arrays import as_floats
 from jaxscp.core.trees import named_leaves
 
@@ -69,7 +69,7 @@ def compile_programs(programs: dict[str, Program]) -> dict[str, jax.stages.Compi
         # the largest first: Python lowers one program while threads compile the others
         for name in sorted(programs, key=lambda name: name != "solve"):
             lowered = programs[name].function.lower(*programs[name].shapes)
-            compiling[name] = threads.submit(lowered.compile, compiler_options=options())
+            compiling[name] = threads.submit(lowered.compile, compiler_options=compiler_options())
         return {name: compiling[name].result() for name in programs}
 
 

@@ -19,7 +19,7 @@ from jaxscp.aot import archive, cache_folder, export, mappings
 from jaxscp.aot.aot import CompiledPlanner, TracedPlanner, compiled, with_programs
 from jaxscp.aot.pytree_spec import Spec, spec_of
 from jaxscp.aot.recent import Recent
-from jaxscp.backends.xla import is_traced, options
+from jaxscp.backends.xla import compiler_options, is_traced
 
 PACKAGE = __name__.partition(".")[0]
 CODE = (".py", ".so", ".h", ".cu", ".cuh")
@@ -126,7 +126,7 @@ def _digest(parts: list[Spec]) -> str:
     surroundings = [
         archive.fingerprint(),
         _settings(),
-        options(),
+        compiler_options(),
         os.environ.get("XLA_FLAGS", ""),
         code_digest(),
     ]

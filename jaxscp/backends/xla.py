@@ -26,8 +26,18 @@ GPU_OPTIONS: dict[str, Any] = {
 
 
 @functools.cache
-def options() -> dict[str, Any]:
-    """``compiler_options`` of ``jax.jit`` for the default backend, without those that this version of XLA rejects."""
+def compiler_options() -> dict[str, Any]:
+    """Options of ``jax.jit`` with which your own programs around a planner compile as fast as the planner's own.
+
+    For the default backend, without those that this version of XLA rejects. JAX takes options at the outermost ``jit``
+    only.
+
+    Example:
+        >>> import jax, jaxscp
+        >>> study = jax.jit(lambda x: 2.0 * x, compiler_options=jaxscp.compiler_options())
+        >>> float(study(1.5))
+        3.0
+    """
     candidates = {"cpu": CPU_OPTIONS, "gpu": GPU_OPTIONS}.get(jax.default_backend(), {})
     if _accepted(candidates):
         return candidates
@@ -44,7 +54,7 @@ def _accepted(candidates: dict[str, Any]) -> bool:
 
 
 class jit_with_options:
-    """``jax.jit`` with ``options()`` for calls at the top level; calls that are traced use plain ``jax.jit``.
+    """``jax.jit`` with ``compiler_options()`` for calls at the top level; calls that are traced use plain ``jax.jit``.
 
     A decorator.
 
@@ -64,7 +74,7 @@ class jit_with_options:
 
     @functools.cached_property
     def _compiled(self) -> Callable[..., Any]:
-        return jax.jit(self.function, static_argnums=self._static, compiler_options=options())
+        return jax.jit(self.function, static_argnums=self._static, compiler_options=compiler_options())
 
 
 def is_traced(args: Any) -> bool:
