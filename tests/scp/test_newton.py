@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.rivals.convert import as_arrays
 from jaxscp import NewtonSCP, Planner, Status, scenarios, status_names
-from jaxscp.backends.xla import options
+from jaxscp.backends.xla import compiler_options
 from jaxscp.scp.newton import TOLERANCE_FACTORS
 from jaxscp.verification.certificate import OPTIMALITY_TOLERANCE
 from tests.support.flights import random_nodes, short_problem
@@ -62,13 +62,13 @@ def by_forcing(act):
     def function(initial_forcing, *more):
         return act(eqx.tree_at(lambda method: method.initial_forcing, NewtonSCP(), initial_forcing), *more)
 
-    return jax.jit(function, compiler_options=options())
+    return jax.jit(function, compiler_options=compiler_options())
 
 
 @pytest.fixture(scope="module")
 def ascent():
     """Problem and guess of Case 2."""
-    setup = jax.jit(Planner(nodes=20).pipeline.setup, compiler_options=options())
+    setup = jax.jit(Planner(nodes=20).pipeline.setup, compiler_options=compiler_options())
     return setup(scenarios.ascent_to_platform())[:2]
 
 

@@ -127,7 +127,7 @@ RENAMED = {
 }
 
 
-@pytest.mark.parametrize("name", RENAMED)
+@pytest.mark.parametrize("name", [pytest.param("rotors", marks=pytest.mark.slow), "body axes", "mirror"])
 def test_the_same_path_under_other_names(name):
     changed, signs = RENAMED[name]
     found = PLANNER(changed())

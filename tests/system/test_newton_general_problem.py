@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 import jaxscp
 from jaxscp import NewtonSCP, Trajectory
-from jaxscp.backends.xla import options
+from jaxscp.backends.xla import compiler_options
 from jaxscp.problem.canonical import canonical
 from jaxscp.problem.form import Continuous
 from jaxscp.problem.lowering import over_scaled_time
@@ -47,7 +47,7 @@ def compiled(problem_of, differentiable=True):
         return solution.cost, solution
 
     function = jax.value_and_grad(cost, has_aux=True) if differentiable else cost
-    return jax.jit(function, compiler_options=options())
+    return jax.jit(function, compiler_options=compiler_options())
 
 
 def assert_optimal(solution):
@@ -262,7 +262,7 @@ def values():
         problem = over_scaled_time(canonical(around(disc)), Continuous(), guess)
         return inequalities(problem, z, evaluate(problem, z, METHOD.grid))
 
-    return jax.jit(of, compiler_options=options())
+    return jax.jit(of, compiler_options=compiler_options())
 
 
 @pytest.mark.slow

@@ -60,6 +60,7 @@ def test_every_iterate_costs_the_same(both, case):
     np.testing.assert_allclose(ours.history.cost[:count], expected, rtol=SAME_COST)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_every_iterate_takes_the_same_time(both, case):
     ours, theirs = both(case)

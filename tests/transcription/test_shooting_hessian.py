@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxscp.backends.xla import options
+from jaxscp.backends.xla import compiler_options
 from jaxscp.transcription.lagrangian import no_multipliers
 from jaxscp.transcription.layout import interval_variables
 from jaxscp.transcription.shooting import Grid, evaluate, linearise, linearise_with_hessian
@@ -36,12 +36,14 @@ def test_it_is_what_automatic_differentiation_says(grid):
             total -= jnp.sum(jnp.where(c.active_in_intervals(v.shape[1])[:, :, None], multiplier * v, 0.0))
         return total
 
-    @functools.partial(jax.jit, compiler_options=options())
+    @functools.partial(jax.jit, compiler_options=compiler_options())
     def along(d):
         """Product of the second derivatives with a direction."""
         return jax.jvp(jax.grad(lagrangian), (z,), (d,))[1]
 
-    second_order = jax.jit(lambda z: linearise_with_hessian(problem, z, y, grid), compiler_options=options())
+    second_order = jax.jit(
+        lambda z: linearise_with_hessian(problem, z, y, grid), compiler_options=compiler_options()
+    )
     linear, curvature = second_order(z)
     for _ in range(3):
         d, e = (jnp.asarray(random.standard_normal(z.shape)) for _ in range(2))
