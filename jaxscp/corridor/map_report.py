@@ -19,6 +19,7 @@ _BELOW = 0.05
 _OUTSIDE = 0.5
 _TALL = 1.5
 _LEVEL = 1e-6
+_SAMPLES = 9
 _FEW = 40
 
 
@@ -267,17 +268,32 @@ def _place_findings(
 
 
 def _upside_down(facts: MapReport, cloud: PointCloud, flight: Flight) -> bool:
-    """Whether both ends lie above the map, and in it, clear of its points, if z points down."""
-    z = flight.ends[:, 2]
-    if (
-        np.any(z < facts.upper[2] - _LEVEL)
-        or np.any(-z < facts.lower[2])
-        or facts.upper[2] - facts.lower[2] < _TALL
-    ):
+    """Whether both ends lie above the map, and in it, clear of its points, if z points down.
+
+    Ends that stand on the map's top stand on its floor if z points down. Then the floor's points do not count.
+    """
+    z, top = flight.ends[:, 2], facts.upper[2]
+    if np.any(z < top - _LEVEL) or np.any(-z < facts.lower[2]) or top - facts.lower[2] < _TALL:
         return False
+    points = cloud.points
+    if np.any(z < top + flight.radius):
+        if not _joined(facts, points, flight):
+            return False
+        points = points[points[:, 2] < top - flight.radius]
     mirrored = flight.ends * [1.0, 1.0, -1.0]
-    nearest = min(float(np.sum((cloud.points - end) ** 2, axis=1).min()) for end in mirrored)
-    return nearest >= flight.radius**2
+    return min(_distance(points, end) for end in mirrored) >= flight.radius
+
+
+def _joined(facts: MapReport, points: Float[np.ndarray, "points 3"], flight: Flight) -> bool:
+    """Whether a surface at the map's top leads from end to end: a floor or a roof, not two decks."""
+    way = np.linspace(flight.start, flight.goal, _SAMPLES)
+    way[:, 2] = facts.upper[2]
+    return all(_distance(points, place) <= 2.0 * max(flight.radius, facts.spacing) for place in way)
+
+
+def _distance(points: Float[np.ndarray, "points 3"], place: Float[np.ndarray, "3"]) -> float:
+    """Distance to the nearest point, infinite without points."""
+    return float(np.sqrt(np.sum((points - place) ** 2, axis=1).min(initial=np.inf)))
 
 
 def _place(corner: np.ndarray) -> str:
