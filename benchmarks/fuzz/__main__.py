@@ -4,7 +4,8 @@ python -m benchmarks.fuzz --count 200 [--seconds 7200] [--seed 0] [--first 0] [-
                        [--workers 2] [--json]
 
 Faults are a crash, a hang, an exception that is no message, NaN in a converged plan, and a converged plan that SciPy
-refutes. ``--first NUMBER --count 1`` runs one case again.
+refutes. A fault is printed at once, and so is a refusal of a valid input. ``--first NUMBER --count 1`` runs one case
+again.
 """
 
 import argparse
@@ -25,23 +26,18 @@ EVERY = 50  # cases between two lines of progress
 
 def summary(records: list[Record], seconds: float) -> dict:
     """Figures of a run."""
-    endings = Counter((record.kind, record.ending) for record in records)
-    count = max(len(records), 1)
+    count, valid = max(len(records), 1), [record for record in records if not record.mutation]
+    bad = [record for record in valid if record.ending not in GOOD]
     return {
         "count": len(records),
         "seconds": round(seconds, 1),
         "per_second": round(len(records) / max(seconds, 1e-9), 2),
-        "valid_fraction": round(sum(not record.mutation for record in records) / count, 3),
+        "valid_fraction": round(len(valid) / count, 3),
         "converged_fraction": round(sum(record.ending == "converged" for record in records) / count, 3),
-        "valid_and_good_fraction": round(
-            sum(record.ending in GOOD for record in records if not record.mutation)
-            / max(sum(not record.mutation for record in records), 1),
-            3,
-        ),
+        "valid_and_good_fraction": round(1.0 - len(bad) / max(len(valid), 1), 3),
+        "valid_and_not_good": _endings(bad),
         "faults": {fault: sum(record.ending == fault for record in records) for fault in FAULTS},
-        "kinds": {
-            kind: {ending: n for (of, ending), n in sorted(endings.items()) if of == kind} for kind in KINDS
-        },
+        "kinds": _endings(records),
         "seconds_a_case": {
             kind: round(sum(times) / len(times), 3)
             for kind in KINDS
@@ -50,6 +46,12 @@ def summary(records: list[Record], seconds: float) -> dict:
         "slowest_s": round(max((record.seconds for record in records), default=0.0), 1),
         "cases": [record._asdict() for record in records if record.ending in FAULTS],
     }
+
+
+def _endings(records: list[Record]) -> dict[str, dict[str, int]]:
+    """Number of each ending, by kind."""
+    counts = Counter((record.kind, record.ending) for record in records)
+    return {kind: {ending: n for (of, ending), n in sorted(counts.items()) if of == kind} for kind in KINDS}
 
 
 def main() -> None:
@@ -70,7 +72,7 @@ def main() -> None:
     cases = run_all(options.count, options.seed, tuple(options.kinds), options.first, options.workers)
     for record in cases:
         records.append(record)
-        if record.ending in FAULTS:
+        if record.ending in FAULTS or (record.ending == "refused" and not record.mutation):
             print(*record, sep="  ", file=stream, flush=True)
         if len(records) % EVERY == 0:
             print(f"{time.perf_counter() - began:5.0f} s  {len(records)} cases", file=stream, flush=True)
