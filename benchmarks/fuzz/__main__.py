@@ -4,8 +4,7 @@ python -m benchmarks.fuzz --count 200 [--seconds 7200] [--seed 0] [--first 0] [-
                        [--workers 2] [--json]
 
 Faults are a crash, a hang, an exception that is no message, NaN in a converged plan, and a converged plan that SciPy
-refutes. A fault is printed at once, and so is a refusal of a valid input. ``--first NUMBER --count 1`` runs one case
-again.
+refutes. Faults, and refusals of valid inputs, are printed at once. ``--first NUMBER --count 1`` runs one case again.
 """
 
 import argparse

@@ -25,7 +25,6 @@ GPU_OPTIONS: dict[str, Any] = {
 """Loops, too, become CUDA graphs: launches take most of a single plan's time."""
 
 
-@functools.cache
 def compiler_options() -> dict[str, Any]:
     """Options of ``jax.jit`` with which your own programs around a planner compile as fast as the planner's own.
 
@@ -38,6 +37,11 @@ def compiler_options() -> dict[str, Any]:
         >>> float(study(1.5))
         3.0
     """
+    return dict(_options())  # a copy: callers may add options of their own
+
+
+@functools.cache
+def _options() -> dict[str, Any]:
     candidates = {"cpu": CPU_OPTIONS, "gpu": GPU_OPTIONS}.get(jax.default_backend(), {})
     if _accepted(candidates):
         return candidates

@@ -33,9 +33,14 @@ def test_results_are_those_of_the_function_at_top_level_and_traced(compiled):
 def test_an_option_that_this_version_rejects_is_left_out(monkeypatch):
     known = {"xla_cpu_parallel_codegen_split_count": 8}
     monkeypatch.setattr(xla, "CPU_OPTIONS", {"xla_cpu_no_such_option": True} | known)
-    xla.compiler_options.cache_clear()
+    xla._options.cache_clear()
     try:
         assert xla.compiler_options() == known
         assert float(xla.jit_with_options(power, static_argnums=0)(1, jnp.zeros(1))[0]) == 0.0
     finally:
-        xla.compiler_options.cache_clear()
+        xla._options.cache_clear()
+
+
+def test_a_caller_may_add_options_of_its_own():
+    xla.compiler_options()["xla_of_my_own"] = True
+    assert "xla_of_my_own" not in xla.compiler_options()

@@ -258,16 +258,15 @@ def test_ends_on_the_floor_of_a_map_with_z_down_do_not_stand_on_its_roof(hall):
     """Found by random inputs: the plan flew over the map, which is through a wall of the hall."""
     down = hall * [1.0, -1.0, -1.0]
     assert "if z points down" in refused(PointCloud.of(down), *ON_THE_FLOOR)
-    assert map_report(PointCloud.of(down, frame="frd"), *ON_THE_FLOOR).accepted
+    assert map_report(PointCloud.of(down, frame="frd"), *ON_THE_FLOOR, 0.25).accepted
     assert map_report(PointCloud.of(down, frame="enu"), *ON_THE_FLOOR, 0.25).accepted
 
 
 def test_two_decks_above_the_ground_are_accepted():
     """A wrong frame would look alike, if a roof led from deck to deck."""
     deck = np.stack(np.meshgrid(*2 * [np.arange(-0.4, 0.5, 0.1)], [0.0]), axis=-1).reshape(-1, 3)
-    ground = np.stack(np.meshgrid(np.arange(-1, 8, 0.2), np.arange(-3, 4, 0.2), [-2.0]), axis=-1).reshape(
-        -1, 3
-    )
+    field = np.arange(-1, 8, 0.2), np.arange(-3, 4, 0.2), [-2.0]
+    ground = np.stack(np.meshgrid(*field), axis=-1).reshape(-1, 3)
     decks = np.concatenate([deck + end * [1.0, 1.0, 0.0] for end in ON_THE_FLOOR])
     report = map_report(PointCloud.of(np.concatenate([decks, ground])), *ON_THE_FLOOR, 0.25)
     assert (report.accepted, report.warnings) == (True, ())

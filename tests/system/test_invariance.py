@@ -127,7 +127,9 @@ RENAMED = {
 }
 
 
-@pytest.mark.parametrize("name", [pytest.param("rotors", marks=pytest.mark.slow), "body axes", "mirror"])
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "rotors")) for name in RENAMED]
+)
 def test_the_same_path_under_other_names(name):
     changed, signs = RENAMED[name]
     found = PLANNER(changed())
