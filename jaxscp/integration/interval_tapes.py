@@ -1,9 +1,10 @@
 """Functions of intervals as tapes, and the flat arrays that compiled implementations read and write."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -41,24 +42,42 @@ def record(intervals: Intervals, inputs: int, data: IntervalData, order: int) ->
     of_point, point_tree = jax.tree.flatten(jax.tree.map(lambda v: v[0], data.point))
     of_ends, ends_tree = jax.tree.flatten(jax.tree.map(lambda v: v[0], data.ends))
 
-    def at_point(a, *data):
-        return outputs.at_point(a[:n], a[n:], jax.tree.unflatten(point_tree, data))
-
-    def at_ends(w, *data):
-        return outputs.at_ends(w, jax.tree.unflatten(ends_tree, data))
-
-    def margin(group: OutputGroup):
-        def function(values, mask):
-            return jnp.ravel(group.subtract_margin(values.reshape(points, group.group_size), mask))
-
-        return functions.record(function, points * group.group_size, [data.margin_mask[0]], order)
-
     return IntervalTapes(
         record_rate(intervals, inputs, order),
-        functions.record(at_point, n + intervals.controls(inputs), of_point, order),
-        functions.record(at_ends, inputs, of_ends, order),
-        tuple(map(margin, outputs.groups)),
+        functions.record(
+            _AtPoint(outputs.at_point, n, point_tree), n + intervals.controls(inputs), of_point, order
+        ),
+        functions.record(_AtEnds(outputs.at_ends, ends_tree), inputs, of_ends, order),
+        tuple(
+            functions.record(_Margin(group, points), points * group.group_size, [data.margin_mask[0]], order)
+            for group in outputs.groups
+        ),
     )
+
+
+class _AtPoint(eqx.Module):
+    function: Callable[..., Array]
+    states: int = eqx.field(static=True)
+    data: Any = eqx.field(static=True)
+
+    def __call__(self, a: Array, *data: Array) -> Array:
+        return self.function(a[: self.states], a[self.states :], jax.tree.unflatten(self.data, data))
+
+
+class _AtEnds(eqx.Module):
+    function: Callable[..., Array]
+    data: Any = eqx.field(static=True)
+
+    def __call__(self, w: Array, *data: Array) -> Array:
+        return self.function(w, jax.tree.unflatten(self.data, data))
+
+
+class _Margin(eqx.Module):
+    group: OutputGroup
+    points: int = eqx.field(static=True)
+
+    def __call__(self, values: Array, mask: Array) -> Array:
+        return jnp.ravel(self.group.subtract_margin(values.reshape(self.points, self.group.group_size), mask))
 
 
 def first_inputs(jacobian: np.ndarray, states: int, inputs: int) -> np.ndarray:

@@ -1,5 +1,10 @@
 """The right-hand side of intervals as tapes."""
 
+from collections.abc import Callable
+
+import equinox as eqx
+from jaxtyping import Array
+
 from jaxscp.backends.codegen.functions import TapedFunction, record
 from jaxscp.integration.intervals import Intervals
 
@@ -15,5 +20,13 @@ def record_rate(intervals: Intervals, inputs: int, order: int) -> TapedFunction:
     Raises:
         CannotTrace: if the rate is not arithmetic alone.
     """
-    n = intervals.states
-    return record(lambda a: intervals.rate(a[:n], a[n:]), n + intervals.controls(inputs), (), order)
+    rate = _Rate(intervals.rate, intervals.states)
+    return record(rate, intervals.states + intervals.controls(inputs), (), order)
+
+
+class _Rate(eqx.Module):
+    rate: Callable[..., Array]
+    states: int = eqx.field(static=True)
+
+    def __call__(self, a: Array) -> Array:
+        return self.rate(a[: self.states], a[self.states :])

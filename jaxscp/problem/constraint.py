@@ -118,9 +118,9 @@ class Constraint(eqx.Module):
         is left out at its apex, where the end condition holds the vehicle.
         """
         assert self.active is not None, "of a problem over scaled time"
-        active = jnp.broadcast_to(self.active[:-1, None], (self.active.shape[0] - 1, points))
-        last_point = active[-1, -1] & (self.active[-1] | (points == 1))
-        return active.at[-1, -1].set(last_point)
+        last_node = np.zeros((self.active.shape[0] - 1, points), bool)
+        last_node[-1, -1] = points > 1
+        return self.active[:-1, None] & (self.active[-1] | ~last_node)
 
     def active_at_locations(self, points: int) -> Bool[Array, "locations points"]:
         """The same for its own locations: nodes for ``AtNodes``, else intervals."""

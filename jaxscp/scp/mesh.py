@@ -77,6 +77,6 @@ def bounded(problem: ScaledTimeProblem, most: Nodes, least: Nodes | float = 0.0)
     allowed = jnp.maximum(most, 2.0 * problem.dilation_min)
     return dataclasses.replace(
         problem,
-        dilation_min=jnp.maximum(problem.dilation_min, least),
+        dilation_min=jnp.maximum(problem.dilation_min, jnp.full_like(most, least)),
         dilation_max=jnp.minimum(problem.dilation_max, allowed),
     )

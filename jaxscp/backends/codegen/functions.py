@@ -1,5 +1,6 @@
 """A function and its first and second derivatives as tapes."""
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -11,6 +12,7 @@ from jaxtyping import Array, Float
 from jaxscp.backends import libraries
 from jaxscp.backends.codegen import tape, tracing
 from jaxscp.backends.codegen.graph import Number
+from jaxscp.backends.codegen.trace_cache import traced_once
 
 
 class TapedFunction(NamedTuple):
@@ -29,7 +31,7 @@ class TapedFunction(NamedTuple):
     """Tape of the values, then of the Jacobian's nonzero entries."""
     second: tape.Tape
     """Tape of the nonzero entries of the Hessian of y . f."""
-    parameters: tuple[Float[Array, "_"], Float[Array, "_"]]
+    parameters: tuple[Float[Array, "_"], ...]
     """Parameters of the first and the second tape."""
     jacobian: np.ndarray
     """(entries, 2): row and column."""
@@ -48,7 +50,8 @@ def record(
     """Tapes of a function of (a, *data), and of its derivatives up to an order.
 
     Args:
-        function: function of (a, *data); returns a vector.
+        function: function of (a, *data); returns a vector. One that is a pytree, such as an equinox module, is traced
+            once for each structure and shapes of its arrays.
         arguments: size of a.
         data: arrays of the data's shapes.
         order: 0, 1 or 2.
@@ -58,8 +61,16 @@ def record(
     """
     if not libraries.in_float64(data):
         raise tracing.CannotTrace("data that are no float64")
-    like = jax.ShapeDtypeStruct((arguments,), jnp.float64)
-    values = jax.eval_shape(function, like, *data).shape[0]
+    tapes, parameters = traced_once(_tapes, function, arguments, tuple(v.shape for v in data), order)
+    return tapes._replace(parameters=parameters)
+
+
+def _tapes(
+    function: Callable[..., Array], arguments: int, data: tuple[tuple[int, ...], ...], order: int
+) -> tuple[TapedFunction, tuple[Array, Array]]:
+    """Tapes of a function, for data of these shapes, without their parameters; and the parameters."""
+    like = [jax.ShapeDtypeStruct(shape, jnp.float64) for shape in ((arguments,), *data)]
+    values = jax.eval_shape(function, *like).shape[0]
 
     def with_derivatives(argument, multipliers, *data):
         value = lambda a: function(a, *data)  # noqa: E731
@@ -70,16 +81,16 @@ def record(
             found.append(jax.hessian(lambda a: jnp.dot(value(a), multipliers))(argument))
         return found
 
-    shapes = [(arguments,), (values,), *(v.shape for v in data)]
+    shapes = [(arguments,), (values,), *data]
     traced = tracing.trace(with_derivatives, *shapes) if values else tracing.TracedFunction([], [])
     results, jacobian, hessian = [*traced.outputs, *_EMPTY[len(traced.outputs) :]]
     in_jacobian, in_hessian = _nonzero(jacobian), _nonzero(hessian, lower=True)
-    inputs = arguments + values + sum(v.size for v in data)
+    inputs = sum(map(math.prod, shapes))
     first = tape.record([*results, *_entries(jacobian, in_jacobian)], inputs)
     second = tape.record(_entries(hessian, in_hessian), inputs)
-    parameters = traced.parameters(first.parameters), traced.parameters(second.parameters)
     data_size = inputs - arguments - values
-    return TapedFunction(arguments, values, data_size, first, second, parameters, in_jacobian, in_hessian)
+    tapes = TapedFunction(arguments, values, data_size, first, second, (), in_jacobian, in_hessian)
+    return tapes, (traced.parameters(first.parameters), traced.parameters(second.parameters))
 
 
 _EMPTY = np.zeros(0, object), np.zeros((0, 0), object), np.zeros((0, 0), object)

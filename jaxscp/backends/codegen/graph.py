@@ -48,6 +48,8 @@ class Graph:
         """a + b."""
         if a.constant is not None and b.constant is not None:
             return self._constant(a.constant + b.constant)
+        if a.kind == b.kind == "negative":
+            return self.negative(self.sum(a.operands[0], b.operands[0]))
         for one, other in ((a, b), (b, a)):
             if one.constant == 0.0:
                 return other

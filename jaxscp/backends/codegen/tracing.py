@@ -28,13 +28,22 @@ from jaxscp.backends.codegen.primitives import (
 )
 
 
-class HoistedArray(NamedTuple):
-    """An array that depends on no argument."""
+class HoistedArray:
+    """An array that depends on no argument.
 
-    value: Any
-    """The array, a JAX tracer."""
-    elements: np.ndarray | None
-    """Its elements as expression nodes; None if they are not float64."""
+    Args:
+        compute: returns the array, a JAX tracer. Called when its value is needed: most of the time nodes are enough.
+        elements: its elements as expression nodes; None if they are not float64.
+    """
+
+    def __init__(self, compute: Callable[[], Any], elements: np.ndarray | None) -> None:
+        self._compute = compute
+        self.elements = elements
+
+    @functools.cached_property
+    def value(self) -> Any:
+        """The array, a JAX tracer."""
+        return self._compute()
 
 
 class TracedFunction(NamedTuple):
@@ -100,10 +109,10 @@ class _Interpreter:
         if not isinstance(value, jax.core.Tracer):
             return value
         if value.dtype != jnp.float64:
-            return HoistedArray(value, None)
+            return HoistedArray(lambda: value, None)
         self.hoisted.append(value)
         keys = ((len(self.hoisted) - 1, i) for i in range(value.size))
-        return HoistedArray(value, self.leaves("parameter", keys, value.shape))
+        return HoistedArray(lambda: value, self.leaves("parameter", keys, value.shape))
 
     def nodes(self, value: Any) -> np.ndarray:
         """A value as an array of ``Number``."""
@@ -136,14 +145,12 @@ class _Interpreter:
             return self.on_numbers(equation, inputs)
         if any(isinstance(v, np.ndarray) and v.dtype == object for v in inputs):
             return self.on_numbers(equation, [self.nodes(v) for v in inputs])
-        values = [v.value if isinstance(v, HoistedArray) else v for v in inputs]
-        found = equation.primitive.bind(*values, **params)
-        found = found if equation.primitive.multiple_results else [found]
+        computed = functools.cache(lambda: _bound(equation, inputs))
         try:  # arithmetic on nodes finds zeros that a tracer hides
             elements = self.on_numbers(equation, [self.nodes(v) for v in inputs])
         except CannotTrace:
-            return [self.hoist(v) for v in found]
-        return [HoistedArray(value, numbers) for value, numbers in zip(found, elements, strict=True)]
+            return [self.hoist(v) for v in computed()]
+        return [HoistedArray(lambda i=i: computed()[i], numbers) for i, numbers in enumerate(elements)]
 
     def on_numbers(self, equation: Any, inputs: list[Any]) -> list[np.ndarray]:
         """Values of an equation's outputs, from arrays of ``Number`` or of plain numbers."""
@@ -220,6 +227,13 @@ class _Interpreter:
         split = len(sum_b) + len(batch_b)
         b = b.reshape(b.shape[:split] + (1,) * len(free_a) + b.shape[split:])
         return self.reduced("sum", elementwise(self.graph.product, a, b), len(sum_a))
+
+
+def _bound(equation: Any, inputs: list[Any]) -> list[Any]:
+    """JAX's values of an equation's outputs."""
+    values = [v.value if isinstance(v, HoistedArray) else v for v in inputs]
+    found = equation.primitive.bind(*values, **equation.params)
+    return found if equation.primitive.multiple_results else [found]
 
 
 def _is_variable(v: Any) -> bool:

@@ -5,6 +5,7 @@ In JAX every stage of every step is a few kernels: thousands of launches, one af
 
 from dataclasses import dataclass
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -83,5 +84,12 @@ def record(dynamics: Dynamics) -> TapedFunction:
     Raises:
         CannotTrace: if the dynamics are not arithmetic alone.
     """
-    n = dynamics.state_size
-    return functions.record(lambda a: dynamics(a[:n], a[n:], 0.0), n + dynamics.control_size, (), order=0)
+    return functions.record(_Derivative(dynamics), dynamics.state_size + dynamics.control_size, (), order=0)
+
+
+class _Derivative(eqx.Module):
+    dynamics: Dynamics
+
+    def __call__(self, a: Array) -> Array:
+        n = self.dynamics.state_size
+        return self.dynamics(a[:n], a[n:], 0.0)
