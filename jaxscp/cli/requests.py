@@ -90,8 +90,13 @@ _CSV = typer.Option(
     callback=writable, help=f"Write {RATE} states and thrusts a second (.csv).", metavar="FILE"
 )
 _PLOT = typer.Option(callback=_picture, help="Write a picture (.png, .pdf).", metavar="FILE")
-_MASS = typer.Option(callback=positive, metavar="MASS", help="Of the vehicle instead of its own, kg.")
-_SPEED = typer.Option(callback=positive, metavar="SPEED", help="Greatest speed, m/s; none by default.")
+# Named here: some versions of typer make a metavar the option's name where the two differ in case alone.
+_MASS = typer.Option(
+    "--mass", callback=positive, metavar="MASS", help="Of the vehicle instead of its own, kg."
+)
+_SPEED = typer.Option(
+    "--speed", callback=positive, metavar="SPEED", help="Greatest speed, m/s; none by default."
+)
 _TIME_WEIGHT = typer.Option(
     min=0.0,
     callback=finite,

@@ -1,5 +1,6 @@
 """The command line on few nodes; the tests share one compiled plan."""
 
+import inspect
 import json
 import math
 import subprocess
@@ -9,6 +10,7 @@ import equinox as eqx
 import jax
 import numpy as np
 import pytest
+from typer.models import OptionInfo
 from typer.testing import CliRunner
 
 import jaxscp
@@ -49,6 +51,20 @@ def test_a_converged_plan_exits_zero(answer):
     result, _ = answer
     assert result.exit_code == 0, result.output
     assert result.exception is None or isinstance(result.exception, SystemExit)
+
+
+def test_options_whose_placeholder_is_their_name_state_it():
+    """Typer 0.27 takes such a placeholder for the name, so that ``--mass`` became ``--MASS``."""
+    commands = [c.callback for c in cli.app.registered_commands]
+    parameters = [p for c in commands for p in inspect.signature(c).parameters.values()]
+    options = {p.name: o for p in parameters for o in getattr(p.annotation, "__metadata__", ())}
+    alike = {
+        name: f"--{name}"
+        in (option.default, *option.param_decls)  # Annotated options keep their flag as a default
+        for name, option in options.items()
+        if isinstance(option, OptionInfo) and (option.metavar or "").lower() == name
+    }
+    assert alike == {"mass": True, "speed": True}
 
 
 def test_json_is_one_object_on_one_line(answer):
