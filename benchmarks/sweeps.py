@@ -4,7 +4,7 @@
 
 A landing whose mass, thrust and goal scatter (Case 1, 30 nodes). Compilation is not counted: a first, small sweep fills
 the cache of programs and warms each process that is measured. With ``--gpu``, each chunk is one batch; only the rate,
-the time outside the planner and memory are measured.
+on one device and on all, the time outside the planner and memory are measured.
 """
 
 import argparse
@@ -127,14 +127,20 @@ def measure(count: int, mode: str, chunk: int, folder: Path) -> dict[str, Any]:
 def measure_batches(count: int, mode: str, chunk: int, folder: Path) -> dict[str, Any]:
     """Figures of a sweep whose chunks are batches on the first device."""
     jaxscp.use_cache(folder / "cache")
-    found, whole = rate(study(count, mode), folder / "sweep", mc.InProcess(mc.Together(chunk)), chunk, 1)
-    device = jax.devices()[0]
+    planned, devices = study(count, mode), tuple(jax.devices())
+    found, whole = rate(planned, folder / "sweep", mc.InProcess(mc.Together(chunk)), chunk, 1)
+    device, several = devices[0], {}
+    if len(devices) > 1:
+        shared = mc.InProcess(mc.Together(chunk * len(devices), devices))
+        together, _ = rate(planned, folder / "shared", shared, chunk * len(devices), 1)
+        several = {f"instances_per_s_{len(devices)}_devices": together, "devices_over_one": together / found}
     return {
         "count": count,
         "mode": mode,
         "chunk": chunk,
         "device": device.device_kind,
         "instances_per_s": found,
+        **several,
         "overhead_share": overhead(whole),
         "peak_memory_mb": peak_memory_mb(),
         "peak_device_memory_mb": (device.memory_stats() or {}).get("peak_bytes_in_use", 0) / 1024.0**2,

@@ -1,7 +1,8 @@
 """Many certified optima: distinct random instances in the default mode, from host arrays to host solutions.
 
-``planner.map`` against a plain loop over the compiled planner. On a CPU, also two more pairs: the compiled ``jax.vmap``
-and the loop; ``planner.map`` and two processes at once, each pinned to one core.
+On GPUs, ``planner.map`` on one of them, then on all. On a CPU, ``planner.map`` against a plain loop over the compiled
+planner, and two more pairs: the compiled ``jax.vmap`` and the loop; ``planner.map`` and two processes at once, each
+pinned to one core.
 """
 
 import multiprocessing
@@ -47,13 +48,24 @@ def _on_cpu(planner: Planner, echo: Callable[[str], None]) -> dict[str, Any]:
 
 def _on_gpu(planner: Planner, size: int, total: int, echo: Callable[[str], None]) -> dict[str, Any]:
     batch = jax.device_get(instances(jax.random.key(total), total))
-    first = jax.tree.map(lambda v: v[:size], batch)
+    compile_s, (facts, seconds) = _in_batches(planner, batch, size, ())
+    found = {"batch_compile_s": compile_s, **_rate(facts, seconds, echo)}
+    if len(devices := tuple(jax.devices())) > 1:
+        _, (facts, shared) = _in_batches(planner, batch, size * len(devices), devices)
+        _rate(facts, shared, echo)
+        echo(f"{len(devices)} devices: {seconds / shared:.2f} times one")
+        found["devices_over_one"] = seconds / shared
+    return found
+
+
+def _in_batches(planner: Planner, batch: Any, size: int, devices: tuple[Any, ...]) -> tuple[float, Any]:
+    """Seconds to compile for these devices, and the first batch; then facts of all plans and their seconds."""
     began = time.perf_counter()
-    planner.map(first, size, keep=_facts)
+    planner.map(jax.tree.map(lambda v: v[:size], batch), size, devices=devices, keep=_facts)
     compile_s = time.perf_counter() - began
-    planned: list[Any] = []
-    seconds = elapsed(lambda: planned.append(planner.map(batch, size, keep=_facts)) or 0)
-    return {"batch_compile_s": compile_s, **_rate(planned[0], seconds, echo)}
+    began = time.perf_counter()
+    facts = planner.map(batch, size, devices=devices, keep=_facts)
+    return compile_s, (facts, time.perf_counter() - began)
 
 
 def part(batch: LandingScenario, index: int) -> LandingScenario:
