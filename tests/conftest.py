@@ -18,6 +18,10 @@ from jaxtyping import install_import_hook  # noqa: E402
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
+
+# Imported before the hook: to check its million scalar operations would double the time of a trace.
+import jaxscp.backends.codegen.graph  # noqa: E402, F401
+
 install_import_hook("jaxscp", "beartype.beartype")
 
 MOST_MAPPINGS = 20_000
