@@ -54,12 +54,12 @@ def _header(path: Path, pypcd4: Any) -> Header:
     if missing:
         raise CloudFileError(f"{path}: no field {', '.join(missing)} among FIELDS {' '.join(fields)}")
     _check_types(path, entries, fields)
+    _check_viewpoint(path, entries.setdefault("VIEWPOINT", [f"{value:g}" for value in _IDENTITY]))
     try:
         entries.setdefault("COUNT", ["1"] * len(fields))
         entries.setdefault("HEIGHT", ["1"])
         entries.setdefault("POINTS", [str(int(entries["WIDTH"][0]) * int(entries["HEIGHT"][0]))])
         entries.setdefault("WIDTH", entries["POINTS"])
-        entries.setdefault("VIEWPOINT", [f"{value:g}" for value in _IDENTITY])
         entries["VERSION"] = ["0.7"]
         entries["DATA"] = [entries["DATA"][0].lower()]
         meta = pypcd4.MetaData.parse_header([f"{key} {' '.join(words)}" for key, words in entries.items()])
@@ -69,6 +69,17 @@ def _header(path: Path, pypcd4: Any) -> Header:
             f"{path}: the header, lines 1 to {len(lines)}, is not that of a .pcd: {cause}"
         ) from error
     return Header(meta, len(lines), start)
+
+
+def _check_viewpoint(path: Path, words: list[str]) -> None:
+    try:
+        count = len([float(word) for word in words])
+    except ValueError:
+        count = None
+    if count != len(_IDENTITY):
+        raise CloudFileError(
+            f"{path}: VIEWPOINT {' '.join(words)}: must be seven numbers, x, y, z and a quaternion (w, x, y, z)"
+        )
 
 
 def _header_lines(path: Path) -> tuple[list[str], int]:

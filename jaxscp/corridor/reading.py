@@ -40,7 +40,7 @@ from jaxscp.corridor.ply import read_ply
 from jaxscp.corridor.robot_maps import read_floor_plan, read_octomap
 from jaxscp.corridor.scans import read_e57, read_las
 from jaxscp.corridor.tables import read_table
-from jaxscp.corridor.viewpoint import from_sensor, guessed_frame
+from jaxscp.corridor.viewpoint import check_pose, from_sensor, guessed_frame
 
 _COARSE = 0.01
 """Rounding of stored coordinates that deserves a warning, metres."""
@@ -204,13 +204,14 @@ def _in_frame(
     """Points in the world, z up; a note on the VIEWPOINT; and the frame, where it is known.
 
     Raises:
-        CloudFileError: nothing tells whether points are relative to the VIEWPOINT.
+        CloudFileError: the VIEWPOINT is no pose, or nothing tells whether points are relative to it.
     """
     notes: tuple[str, ...] = ()
-    if content.viewpoint is not None:
+    if content.viewpoint is not None and frame != "world":
+        check_pose(path, content.viewpoint)
         pose = [value * scale for value in content.viewpoint[:3]] + list(content.viewpoint[3:])
         relative = frame
-        if frame not in ("sensor", "world"):
+        if frame != "sensor":
             relative, note = guessed_frame(path, points, pose)
             notes = (note,)
         if relative == "sensor":

@@ -14,6 +14,26 @@ _CLEAR = 0.3
 _FLOOR = 0.4
 _LEVEL = 0.01
 _DECISIVE = 3.0
+_UNIT = 0.01
+"""Largest difference of a quaternion's length from one: headers are rounded to a few digits."""
+
+
+def check_pose(path: Path, pose: Sequence[float]) -> None:
+    """Refuse a VIEWPOINT that is no pose.
+
+    Args:
+        path: the file, for messages.
+        pose: (7,) what should be a position and a unit quaternion (w, x, y, z).
+
+    Raises:
+        CloudFileError: it is none.
+    """
+    numbers = np.array(pose, float)
+    if not (np.isfinite(numbers).all() and abs(np.linalg.norm(numbers[3:]) - 1.0) <= _UNIT):
+        raise CloudFileError(
+            f"{path}: VIEWPOINT {_words(pose)} is no pose: x, y, z and a unit quaternion (w, x, y, z). "
+            "Mend the header; or state frame='world' (--frame world) if the points are in the world already"
+        )
 
 
 def from_sensor(
@@ -51,7 +71,7 @@ def guessed_frame(
     """
     seen = points[np.isfinite(points).all(axis=1) & points.any(axis=1)]
     position = np.array(pose[:3])
-    words = " ".join(f"{value:g}" for value in pose)
+    words = _words(pose)
     clear = min(_CLEAR, 0.5 * float(np.linalg.norm(position)))
     ways = {"sensor": _nearest(seen, np.zeros(3)) >= clear, "world": _nearest(seen, position) >= clear}
     if ways["sensor"] == ways["world"]:
@@ -68,6 +88,10 @@ def guessed_frame(
         )
     kind = "sensor" if ways["sensor"] else "world"
     return kind, f"VIEWPOINT {words} is {'applied' if kind == 'sensor' else 'not applied'}: frame {kind!r}"
+
+
+def _words(pose: Sequence[float]) -> str:
+    return " ".join(f"{value:g}" for value in pose)
 
 
 def _nearest(points: np.ndarray, place: np.ndarray) -> float:

@@ -223,6 +223,32 @@ def test_an_identity_viewpoint_says_nothing(hall, scan, pose):
     assert cloud.provenance.notes == ()
 
 
+@pytest.mark.parametrize(
+    "pose",
+    [
+        (0.5, -2.0, 1.0, 0.0, 0.0, 0.0, 0.0),
+        (0.5, -2.0, 1.0, 2.0, 0.0, 0.0, 0.0),
+        (0.5, -2.0, 1.0, float("nan"), 0.0, 0.0, 1.0),
+        (float("inf"), -2.0, 1.0, 1.0, 0.0, 0.0, 0.0),
+    ],
+)
+@pytest.mark.parametrize("frame", [None, "sensor", "ned"])
+def test_a_viewpoint_that_is_no_pose_is_refused_unless_it_does_not_count(hall, scan, pose, frame):
+    path = scan(hall, pose)
+    with pytest.raises(ValueError, match=r"scan\.pcd: VIEWPOINT .* is no pose"):
+        read_cloud(path, frame=frame)
+    np.testing.assert_allclose(read_cloud(path, frame="world").points, hall, atol=1e-6)
+
+
+@pytest.mark.parametrize("numbers", ["", "0 0 0", "0 0 0 1 0 0", "0 0 0 1 0 0 0 0", "0 0 0 1 0 0 one"])
+def test_a_viewpoint_of_other_than_seven_numbers_is_refused(hall, scan, numbers):
+    path = scan(hall, (0.5, -2.0, 1.0, 1.0, 0.0, 0.0, 0.0))
+    head, data = path.read_bytes().split(b"VIEWPOINT", 1)
+    path.write_bytes(head + b"VIEWPOINT " + numbers.encode() + data[data.index(b"\n") :])
+    with pytest.raises(ValueError, match=rf"scan\.pcd: VIEWPOINT {numbers}: must be seven numbers"):
+        read_cloud(path)
+
+
 def test_a_frame_of_a_sensor_needs_a_viewpoint(tmp_path, hall):
     with pytest.raises(ValueError, match="has no VIEWPOINT"):
         on_file(tmp_path, hall, frame="sensor")
