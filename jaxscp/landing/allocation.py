@@ -32,7 +32,9 @@ def allocate(route: Route, nodes: int) -> Int[Array, "intervals"]:
     before_last = jnp.minimum(spare * share[-2:-1] / jnp.maximum(share[-1], 1e-9), most)
     fraction = share[:-1] / jnp.maximum(share[-2:-1], 1e-9)
     least = jnp.maximum(jnp.arange(1, count) - passed, 0)
-    ends = least + jnp.round(before_last * fraction).astype(int)
+    # Where intervals are few, the first leg, which starts from rest, gets the odd one.
+    rounded = jnp.ceil if nodes <= INTERVALS_A_LEG * count else jnp.round
+    ends = least + rounded(before_last * fraction).astype(int)
     return jnp.searchsorted(ends, jnp.arange(nodes - 1), side="right", method="compare_all").astype(int)
 
 

@@ -2,6 +2,7 @@
 
 from itertools import pairwise
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -43,6 +44,27 @@ def test_short_legs_and_the_one_before_the_last_have_half_the_intervals_of_other
     """The turns at their ends need them: with one or two, narrow chains of boxes end in ``dynamics_unmet``."""
     before_last = np.bincount(np.asarray(allocate(route_of(*hall(lengths)), 45)))[:-1]
     assert 2 * before_last.min() >= before_last.max()
+
+
+@pytest.mark.parametrize(("lengths", "nodes"), [([3.0, 3.0, 3.0], 12), ([2.0] * 5, 14), ([2.0] * 5, 24)])
+def test_of_few_intervals_the_first_leg_gets_the_odd_one(lengths, nodes):
+    """It starts from rest: with fewer there, plans were integrated too coarsely to be certified."""
+    before_last = np.bincount(np.asarray(allocate(route_of(*hall(lengths)), nodes)))[:-1]
+    assert before_last[0] == before_last.max() == before_last.min() + 1
+
+
+@pytest.mark.slow
+def test_few_nodes_plan_light_and_heavy_vehicles():
+    plan = Planner.paper(12)
+    scenario = scenarios.ascent_to_platform()
+    for mass in (0.5, 0.73, 1.0, 1.144, 1.3):
+        for weight in (0.0, 1.0, 20.0):
+            changed = eqx.tree_at(
+                lambda s: (s.airframe.body.mass, s.weights.time),
+                scenario,
+                (jnp.asarray(mass), jnp.asarray(weight)),
+            )
+            assert status_names(plan(changed).status) == "converged", (mass, weight)
 
 
 def test_route_is_evenly_spaced_within_each_polytope():
