@@ -1,4 +1,4 @@
-"""Traces that are made once: of what they depend on, and that they keep no tracer of another trace."""
+"""Traces that are made once: they depend on structure and constants, and keep no tracer of another trace."""
 
 import equinox as eqx
 import jax
@@ -88,14 +88,16 @@ def test_a_trace_that_closes_over_a_tracer_is_not_kept():
     assert not trace_cache._TRACES
 
 
-def test_a_leaf_without_hash_is_traced_each_time():
+class Unhashable:
+    __hash__ = None
+
+
+@pytest.mark.parametrize("leaf", [Unhashable(), jax.random.key(0)], ids=["object", "random key"])
+def test_a_leaf_that_cannot_be_a_key_is_traced_each_time(leaf):
     counted = Counted()
-
-    class Unhashable:
-        __hash__ = None
-
+    function = lambda tree, factor: counted(tree[0], factor)  # noqa: E731
     for _ in range(2):
-        traced_once(lambda tree, factor: counted(tree[0], factor), (Line(jnp.ones(1)), Unhashable()), 2.0)
+        assert traced_once(function, (Line(jnp.ones(1)), leaf), 2.0)[1]["scaled"].tolist() == [2.0]
     assert counted.calls == 2
     assert not trace_cache._TRACES
 

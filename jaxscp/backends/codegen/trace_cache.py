@@ -3,6 +3,7 @@
 A trace in Python takes a second where its jaxpr, once made, takes milliseconds.
 """
 
+import threading
 from collections.abc import Callable, Hashable
 from typing import Any, NamedTuple
 
@@ -16,7 +17,7 @@ ENTRIES = 256
 
 
 class _Trace(NamedTuple):
-    """What a function returned for tracers of one structure."""
+    """Results of a function for tracers of one structure."""
 
     static: Any
     arrays: jax.extend.core.ClosedJaxpr
@@ -26,6 +27,7 @@ class _Trace(NamedTuple):
 
 _TRACES: dict[Hashable, _Trace] = {}
 """The oldest first."""
+_LOCK = threading.Lock()  # threads may compile at once
 
 
 def traced_once(function: Callable[..., tuple[Any, Any]], tree: Any, *options: Hashable) -> tuple[Any, Any]:
@@ -43,11 +45,16 @@ def traced_once(function: Callable[..., tuple[Any, Any]], tree: Any, *options: H
     if trace is None:
         trace = _traced(lambda tracers: function(eqx.combine(tracers, constants), *options), tracers)
         if key is not None and not any(map(_is_tracer, trace.arrays.consts)):
-            _TRACES[key] = trace
-            if len(_TRACES) > ENTRIES:
-                del _TRACES[next(iter(_TRACES))]
+            _keep(key, trace)
     found = jax.extend.core.jaxpr_as_fun(trace.arrays)(*leaves)
     return trace.static, jax.tree.unflatten(trace.structure, found)
+
+
+def _keep(key: Hashable, trace: _Trace) -> None:
+    with _LOCK:
+        _TRACES[key] = trace
+        if len(_TRACES) > ENTRIES:
+            del _TRACES[next(iter(_TRACES))]
 
 
 def _traced(function: Callable[[Any], tuple[Any, Any]], tracers: Any) -> _Trace:
@@ -65,10 +72,10 @@ def _traced(function: Callable[[Any], tuple[Any, Any]], tracers: Any) -> _Trace:
 def _key(function: Callable[..., Any], tree: Any, options: Hashable) -> Hashable | None:
     """Key of a trace; None if the tree has a leaf that cannot be one."""
     leaves, structure = jax.tree.flatten(tree)
-    key = function, options, structure, tuple(map(_leaf_key, leaves))
     try:
+        key = function, options, structure, tuple(map(_leaf_key, leaves))
         hash(key)
-    except TypeError:
+    except TypeError:  # such as a list, or the key of a random generator
         return None
     return key
 
