@@ -14,8 +14,8 @@ _CLEAR = 0.3
 _FLOOR = 0.4
 _LEVEL = 0.01
 _DECISIVE = 3.0
-_UNIT = 0.01
-"""Largest difference of a quaternion's length from one: headers are rounded to a few digits."""
+_UNIT = 0.05
+"""Largest difference of a quaternion's length from one: headers may be rounded to one digit."""
 
 
 def check_pose(path: Path, pose: Sequence[float]) -> None:

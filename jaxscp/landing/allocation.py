@@ -14,6 +14,7 @@ TO_CONE = 1, 4
 # A leg's share grows with this power of its length. The turns at its ends need intervals, however short it is; with
 # shares by length, narrow chains of seven or eight boxes end in ``dynamics_unmet``.
 GROWTH = 0.25
+ROUNDING = 1e-6  # of a number of intervals: equal legs share evenly
 
 
 def allocate(route: Route, nodes: int) -> Int[Array, "intervals"]:
@@ -32,9 +33,9 @@ def allocate(route: Route, nodes: int) -> Int[Array, "intervals"]:
     before_last = jnp.minimum(spare * share[-2:-1] / jnp.maximum(share[-1], 1e-9), most)
     fraction = share[:-1] / jnp.maximum(share[-2:-1], 1e-9)
     least = jnp.maximum(jnp.arange(1, count) - passed, 0)
-    # Where intervals are few, the first leg, which starts from rest, gets the odd one.
-    rounded = jnp.ceil if nodes <= INTERVALS_A_LEG * count else jnp.round
-    ends = least + rounded(before_last * fraction).astype(int)
+    # Where intervals are few, earlier legs get the odd ones: the first one starts from rest.
+    exact, few = before_last * fraction, nodes <= INTERVALS_A_LEG * (count - passed)
+    ends = least + jnp.where(few, jnp.ceil(exact - ROUNDING), jnp.round(exact)).astype(int)
     return jnp.searchsorted(ends, jnp.arange(nodes - 1), side="right", method="compare_all").astype(int)
 
 

@@ -46,11 +46,19 @@ def test_short_legs_and_the_one_before_the_last_have_half_the_intervals_of_other
     assert 2 * before_last.min() >= before_last.max()
 
 
-@pytest.mark.parametrize(("lengths", "nodes"), [([3.0, 3.0, 3.0], 12), ([2.0] * 5, 14), ([2.0] * 5, 24)])
-def test_of_few_intervals_the_first_leg_gets_the_odd_one(lengths, nodes):
-    """It starts from rest: with fewer there, plans were integrated too coarsely to be certified."""
-    before_last = np.bincount(np.asarray(allocate(route_of(*hall(lengths)), nodes)))[:-1]
-    assert before_last[0] == before_last.max() == before_last.min() + 1
+@pytest.mark.parametrize(
+    ("lengths", "counts"),
+    [
+        ([3.13, 3.61, 3.22], [3, 2, 6]),
+        ([2.0] * 5, [2, 2, 2, 1, 6]),
+        ([2.0] * 6, [2, 2, 2, 2, 2, 6]),
+        ([5.0] * 4, [4, 4, 4, 6]),
+    ],
+)
+def test_of_few_intervals_earlier_legs_get_the_odd_ones(lengths, counts):
+    """The first starts from rest: with fewer there, plans were integrated too coarsely to be certified."""
+    found = allocate(route_of(*hall(lengths)), sum(counts) + 1)
+    assert np.bincount(np.asarray(found)).tolist() == counts
 
 
 @pytest.mark.slow
