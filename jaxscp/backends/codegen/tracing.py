@@ -99,6 +99,8 @@ class _Interpreter:
     def __init__(self) -> None:
         self.graph = Graph()
         self.hoisted: list[Array] = []
+        self.unread: list[HoistedArray] = []
+        """Arrays whose value was not needed yet, the oldest first."""
 
     def leaves(self, kind: str, values: Iterable[Any], shape: tuple[int, ...]) -> np.ndarray:
         """Array of arguments, parameters or constants."""
@@ -149,8 +151,17 @@ class _Interpreter:
         try:  # arithmetic on nodes finds zeros that a tracer hides
             elements = self.on_numbers(equation, [self.nodes(v) for v in inputs])
         except CannotTrace:
+            self.read_all()
             return [self.hoist(v) for v in computed()]
-        return [HoistedArray(lambda i=i: computed()[i], numbers) for i, numbers in enumerate(elements)]
+        found = [HoistedArray(lambda i=i: computed()[i], numbers) for i, numbers in enumerate(elements)]
+        self.unread += found
+        return found
+
+    def read_all(self) -> None:
+        """Compute all values, in order: each one's inputs are ready, so that a long chain needs no deep recursion."""
+        for array in self.unread:
+            _ = array.value
+        self.unread.clear()
 
     def on_numbers(self, equation: Any, inputs: list[Any]) -> list[np.ndarray]:
         """Values of an equation's outputs, from arrays of ``Number`` or of plain numbers."""
