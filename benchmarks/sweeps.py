@@ -125,11 +125,16 @@ def measure(count: int, mode: str, chunk: int, folder: Path) -> dict[str, Any]:
 
 
 def measure_batches(count: int, mode: str, chunk: int, folder: Path) -> dict[str, Any]:
-    """Figures of a sweep whose chunks are batches on the first device."""
+    """Figures of a sweep whose chunks are batches on one device; where there are several, also the rate on all."""
     jaxscp.use_cache(folder / "cache")
     planned, devices = study(count, mode), tuple(jax.devices())
+    if count < 2 * chunk * len(devices):
+        sys.exit(
+            f"--count: needs two chunks on {len(devices)} devices, {2 * chunk * len(devices)} cases at least"
+        )
     found, whole = rate(planned, folder / "sweep", mc.InProcess(mc.Together(chunk)), chunk, 1)
     device, several = devices[0], {}
+    host_memory, device_memory = peak_memory_mb(), (device.memory_stats() or {}).get("peak_bytes_in_use", 0)
     if len(devices) > 1:
         shared = mc.InProcess(mc.Together(chunk * len(devices), devices))
         together, _ = rate(planned, folder / "shared", shared, chunk * len(devices), 1)
@@ -142,8 +147,8 @@ def measure_batches(count: int, mode: str, chunk: int, folder: Path) -> dict[str
         "instances_per_s": found,
         **several,
         "overhead_share": overhead(whole),
-        "peak_memory_mb": peak_memory_mb(),
-        "peak_device_memory_mb": (device.memory_stats() or {}).get("peak_bytes_in_use", 0) / 1024.0**2,
+        "peak_memory_mb": host_memory,
+        "peak_device_memory_mb": device_memory / 1024.0**2,
         "statuses": mc.summarise(whole, resamples=0).statuses,
     }
 
@@ -162,7 +167,9 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=400, help="instances of a sweep")
     parser.add_argument("--mode", choices=list(MODES), default="default")
     parser.add_argument("--chunk", type=int, default=50)
-    parser.add_argument("--gpu", action="store_true", help="each chunk as one batch on the first device")
+    parser.add_argument(
+        "--gpu", action="store_true", help="each chunk as one batch on one device, then on all"
+    )
     asked = parser.parse_args()
     measured = measure_batches if asked.gpu else measure
     with tempfile.TemporaryDirectory() as folder:

@@ -51,7 +51,7 @@ def record(
 
     Args:
         function: function of (a, *data); returns a vector. One that is a pytree, such as an equinox module, is traced
-            once for each structure and shapes of its arrays.
+            once for each structure and shapes of its traced arrays; all else counts by value, functions by identity.
         arguments: size of a.
         data: arrays of the data's shapes.
         order: 0, 1 or 2.
