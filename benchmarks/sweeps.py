@@ -128,16 +128,15 @@ def measure_batches(count: int, mode: str, chunk: int, folder: Path) -> dict[str
     """Figures of a sweep whose chunks are batches on one device; where there are several, also the rate on all."""
     jaxscp.use_cache(folder / "cache")
     planned, devices = study(count, mode), tuple(jax.devices())
-    if count < 2 * chunk * len(devices):
-        sys.exit(
-            f"--count: needs two chunks on {len(devices)} devices, {2 * chunk * len(devices)} cases at least"
-        )
+    of_all = chunk * len(devices)
+    if count < 2 * of_all:
+        sys.exit(f"--count: needs two chunks on {len(devices)} devices, {2 * of_all} cases at least")
     found, whole = rate(planned, folder / "sweep", mc.InProcess(mc.Together(chunk)), chunk, 1)
     device, several = devices[0], {}
     host_memory, device_memory = peak_memory_mb(), (device.memory_stats() or {}).get("peak_bytes_in_use", 0)
     if len(devices) > 1:
-        shared = mc.InProcess(mc.Together(chunk * len(devices), devices))
-        together, _ = rate(planned, folder / "shared", shared, chunk * len(devices), 1)
+        shared = mc.InProcess(mc.Together(of_all, devices))
+        together, _ = rate(planned, folder / "shared", shared, of_all, 1)
         several = {f"instances_per_s_{len(devices)}_devices": together, "devices_over_one": together / found}
     return {
         "count": count,

@@ -1,4 +1,4 @@
-"""Test settings: double precision, strict dtypes, and every annotation of the package checked at run time."""
+"""Test settings: double precision, strict dtypes, and annotations of the package checked at run time."""
 
 import atexit
 import os

@@ -48,24 +48,25 @@ def _on_cpu(planner: Planner, echo: Callable[[str], None]) -> dict[str, Any]:
 
 def _on_gpu(planner: Planner, size: int, total: int, echo: Callable[[str], None]) -> dict[str, Any]:
     batch = jax.device_get(instances(jax.random.key(total), total))
-    compile_s, (facts, seconds) = _in_batches(planner, batch, size, ())
+    compile_s, facts, seconds = _in_batches(planner, batch, size, ())
     found = {"batch_compile_s": compile_s, **_rate(facts, seconds, echo)}
     if len(devices := tuple(jax.devices())) > 1:
-        _, (facts, shared) = _in_batches(planner, batch, size * len(devices), devices)
+        _, facts, shared = _in_batches(planner, batch, size * len(devices), devices)
         _rate(facts, shared, echo)
         echo(f"{len(devices)} devices: {seconds / shared:.2f} times one")
         found["devices_over_one"] = seconds / shared
     return found
 
 
-def _in_batches(planner: Planner, batch: Any, size: int, devices: tuple[Any, ...]) -> tuple[float, Any]:
-    """Seconds to compile for these devices, and the first batch; then facts of all plans and their seconds."""
-    began = time.perf_counter()
-    planner.map(jax.tree.map(lambda v: v[:size], batch), size, devices=devices, keep=_facts)
-    compile_s = time.perf_counter() - began
+def _in_batches(
+    planner: Planner, batch: Any, size: int, devices: tuple[Any, ...]
+) -> tuple[float, Any, float]:
+    """Seconds to compile for these devices and to plan a batch; facts of all plans; and their seconds."""
+    first = jax.tree.map(lambda v: v[:size], batch)
+    compile_s = elapsed(lambda: planner.map(first, size, devices=devices, keep=_facts))
     began = time.perf_counter()
     facts = planner.map(batch, size, devices=devices, keep=_facts)
-    return compile_s, (facts, time.perf_counter() - began)
+    return compile_s, facts, time.perf_counter() - began
 
 
 def part(batch: LandingScenario, index: int) -> LandingScenario:

@@ -73,10 +73,10 @@ def _header(path: Path, pypcd4: Any) -> Header:
 
 def _check_viewpoint(path: Path, words: list[str]) -> None:
     try:
-        count = len([float(word) for word in words])
+        numbers = [float(word) for word in words]
     except ValueError:
-        count = None
-    if count != len(_IDENTITY):
+        numbers = []
+    if len(numbers) != len(_IDENTITY):
         raise CloudFileError(
             f"{path}: VIEWPOINT {' '.join(words)}: must be seven numbers, x, y, z and a quaternion (w, x, y, z)"
         )

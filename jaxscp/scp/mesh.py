@@ -75,6 +75,7 @@ def _level(parts: Float[Array, "intervals"]) -> Scalar:
 def bounded(problem: ScaledTimeProblem, most: Nodes, least: Nodes | float = 0.0) -> ScaledTimeProblem:
     """The problem with a greatest dilation of each node, as far as its least one allows, and a least one."""
     allowed = jnp.maximum(most, 2.0 * problem.dilation_min)
+    # A least dilation of each node, too, so that tapes of all bounded problems are traced once.
     return dataclasses.replace(
         problem,
         dilation_min=jnp.maximum(problem.dilation_min, jnp.full_like(most, least)),

@@ -62,6 +62,15 @@ def test_other_shapes_structures_and_options_are_traced_anew():
     assert counted.calls == 4
 
 
+def test_one_trace_serves_batches_and_derivatives():
+    counted, slopes = Counted(), jnp.arange(6.0).reshape(3, 2)
+    scaled = lambda slope: traced_once(counted, Line(slope), 2.0)[1]["scaled"]  # noqa: E731
+    np.testing.assert_array_equal(jax.vmap(scaled)(slopes), 2.0 * slopes)
+    np.testing.assert_array_equal(jax.grad(lambda s: scaled(s).sum())(slopes[0]), [2.0, 2.0])
+    np.testing.assert_array_equal(jax.jit(scaled)(slopes[0]), 2.0 * slopes[0])
+    assert counted.calls == 1
+
+
 @pytest.mark.parametrize("array", [np.array, jnp.array])
 def test_arrays_that_are_no_tracers_are_constants(array):
     counted = Counted()

@@ -28,22 +28,13 @@ from jaxscp.backends.codegen.primitives import (
 )
 
 
-class HoistedArray:
-    """An array that depends on no argument.
+class HoistedArray(NamedTuple):
+    """An array that depends on no argument."""
 
-    Args:
-        compute: returns the array, a JAX tracer. Called when its value is needed: most of the time nodes are enough.
-        elements: its elements as expression nodes; None if they are not float64.
-    """
-
-    def __init__(self, compute: Callable[[], Any], elements: np.ndarray | None) -> None:
-        self._compute = compute
-        self.elements = elements
-
-    @functools.cached_property
-    def value(self) -> Any:
-        """The array, a JAX tracer."""
-        return self._compute()
+    value: Callable[[], Any]
+    """Returns the array, always the same JAX tracer. It is computed when it is needed: most of the time nodes do."""
+    elements: np.ndarray | None
+    """Its elements as expression nodes; None if they are not float64."""
 
 
 class TracedFunction(NamedTuple):
@@ -99,8 +90,8 @@ class _Interpreter:
     def __init__(self) -> None:
         self.graph = Graph()
         self.hoisted: list[Array] = []
-        self.unread: list[HoistedArray] = []
-        """Arrays whose value was not needed yet, the oldest first."""
+        self.unread: list[Callable[[], list[Any]]] = []
+        """Compute values that were not needed yet, the oldest first."""
 
     def leaves(self, kind: str, values: Iterable[Any], shape: tuple[int, ...]) -> np.ndarray:
         """Array of arguments, parameters or constants."""
@@ -120,7 +111,7 @@ class _Interpreter:
         """A value as an array of ``Number``."""
         if isinstance(value, HoistedArray):
             if value.elements is None:
-                raise CannotTrace(f"arithmetic in {value.value.dtype}")
+                raise CannotTrace(f"arithmetic in {value.value().dtype}")
             return value.elements
         array = np.asarray(value)
         if array.dtype == object:
@@ -147,20 +138,19 @@ class _Interpreter:
             return self.on_numbers(equation, inputs)
         if any(isinstance(v, np.ndarray) and v.dtype == object for v in inputs):
             return self.on_numbers(equation, [self.nodes(v) for v in inputs])
-        computed = functools.cache(lambda: _bound(equation, inputs))
+        values = functools.cache(lambda: _bind(equation, inputs))
         try:  # arithmetic on nodes finds zeros that a tracer hides
             elements = self.on_numbers(equation, [self.nodes(v) for v in inputs])
         except CannotTrace:
             self.read_all()
-            return [self.hoist(v) for v in computed()]
-        found = [HoistedArray(lambda i=i: computed()[i], numbers) for i, numbers in enumerate(elements)]
-        self.unread += found
-        return found
+            return [self.hoist(v) for v in values()]
+        self.unread.append(values)
+        return [HoistedArray(lambda i=i: values()[i], numbers) for i, numbers in enumerate(elements)]
 
     def read_all(self) -> None:
         """Compute all values, in order: each one's inputs are ready, so that a long chain needs no deep recursion."""
-        for array in self.unread:
-            _ = array.value
+        for values in self.unread:
+            values()
         self.unread.clear()
 
     def on_numbers(self, equation: Any, inputs: list[Any]) -> list[np.ndarray]:
@@ -240,9 +230,9 @@ class _Interpreter:
         return self.reduced("sum", elementwise(self.graph.product, a, b), len(sum_a))
 
 
-def _bound(equation: Any, inputs: list[Any]) -> list[Any]:
+def _bind(equation: Any, inputs: list[Any]) -> list[Any]:
     """JAX's values of an equation's outputs."""
-    values = [v.value if isinstance(v, HoistedArray) else v for v in inputs]
+    values = [v.value() if isinstance(v, HoistedArray) else v for v in inputs]
     found = equation.primitive.bind(*values, **equation.params)
     return found if equation.primitive.multiple_results else [found]
 
