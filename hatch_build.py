@@ -11,12 +11,13 @@ import tempfile
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import NamedTuple
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 SHARED = Path("jaxscp/backends/native")
 SOURCES = Path("jaxscp/backends/sources.py")
-LIBRARIES = {  # stem: sources compiled for each instruction set, sources compiled for any
+LIBRARIES = {  # stem: sources compiled for each instruction set, sources compiled once for any
     Path("jaxscp/conic/native/interior_point"): (("handler",), ("gpu_handler",)),
     Path("jaxscp/linalg/gram/native/gram"): (("handler",), ()),
     Path("jaxscp/linalg/riccati/native/riccati"): (("handler",), ("gpu_handler",)),
@@ -28,7 +29,11 @@ X86 = {
     "v3": ("-march=x86-64-v3",),
 }  # v4: AVX-512; v3: AVX2 and FMA
 ANYWHERE = {"any": ()}
-FLAGS = ("-std=c++20", "-O3", "-fno-math-errno", "-fPIC", "-Wno-psabi")
+FLAGS = ("-std=c++20", "-fno-math-errno", "-fPIC", "-Wno-psabi")
+FAST, SOON = (
+    "-O3",
+    "-O1",
+)  # code that computes; code that only launches, which compiles in two thirds of the time
 
 
 class NativeBuild(BuildHookInterface):
@@ -43,12 +48,8 @@ class NativeBuild(BuildHookInterface):
             self.app.display_warning("no C++ compiler: jaxscp will run without its C++ libraries, slower")
             return
         levels = ANYWHERE | (X86 if platform.machine().lower() in ("x86_64", "amd64") else {})
-        builds = [(stem, *level) for stem in LIBRARIES for level in levels.items()]
         try:
-            with ThreadPoolExecutor() as pool:
-                libraries = list(
-                    pool.map(lambda each: compile_library(compiler, Path(self.root), *each), builds)
-                )
+            libraries = compile_libraries(compiler, Path(self.root), levels)
         except subprocess.CalledProcessError as error:
             self.app.display_warning(
                 f"the C++ libraries do not compile, and jaxscp will run slower:\n{error.stderr}"
@@ -60,45 +61,64 @@ class NativeBuild(BuildHookInterface):
         build_data["artifacts"] += [str(library.relative_to(self.root)) for library in libraries]
 
 
-def compile_library(compiler: str, root: Path, stem: Path, level: str, machine: tuple[str, ...]) -> Path:
-    """File of a library for one instruction set.
+class Unit(NamedTuple):
+    """A source, its object file and its compiler flags."""
 
-    ``runs_here.cc`` asks the processor for its instructions, so it is compiled for any processor. It also carries the
-    digest of the sources.
+    source: Path
+    output: Path
+    flags: tuple[str, ...]
+
+
+def compile_libraries(compiler: str, root: Path, levels: dict[str, tuple[str, ...]]) -> list[Path]:
+    """Files of all libraries for all instruction sets: sources are compiled side by side, then linked.
 
     Args:
         compiler: C++ compiler.
         root: folder of the project.
-        stem: key of ``LIBRARIES``.
-        level: name of the instruction set.
-        machine: compiler flags of the instruction set.
+        levels: compiler flags of each instruction set, by its name.
     """
-    headers = Path(importlib.util.find_spec("jaxlib").submodule_search_locations[0]) / "include"
-    folder = (root / stem).parent
-    of_level, of_any = LIBRARIES[stem]
+    files = []
+    with tempfile.TemporaryDirectory() as scratch, ThreadPoolExecutor() as pool:
+        units = {}
+        for stem in LIBRARIES:
+            shared = units_of_any(root, stem, Path(scratch))
+            for level, machine in levels.items():
+                units[stem, level] = units_of_level(root, stem, Path(scratch), level, machine) + shared
+        every = dict.fromkeys(unit for of_library in units.values() for unit in of_library)
+        list(pool.map(lambda unit: compile_unit(compiler, root, unit), every))
+        for (stem, level), of_library in units.items():
+            files.append(root / stem.parent / f"{stem.name}_{level}.so")
+            run(compiler, "-shared", *[unit.output for unit in of_library], "-ldl", "-o", files[-1])
+    return files
+
+
+def units_of_level(root: Path, stem: Path, scratch: Path, level: str, machine: tuple[str, ...]) -> list[Unit]:
+    """Sources of a library that are compiled for each instruction set.
+
+    ``runs_here.cc`` asks the processor for its instructions, so it is compiled for any processor. It also carries the
+    digest of the sources.
+    """
+    folder = root / stem.parent
+    output = lambda name: scratch / f"{stem.name}_{name}_{level}.o"  # noqa: E731
+    units = [Unit(folder / f"{name}.cc", output(name), (FAST, *machine)) for name in LIBRARIES[stem][0]]
     number = level.removeprefix("v") if machine else "0"
-    sources = {folder / f"{name}.cc": machine for name in of_level}
-    sources |= {folder / f"{name}.cc": () for name in of_any}
-    digest = digest_of_sources(root)(folder)
-    sources[root / SHARED / "runs_here.cc"] = (f"-DJAXSCP_LEVEL={number}", f'-DJAXSCP_SOURCES="{digest}"')
-    library = folder / f"{stem.name}_{level}.so"
-    with tempfile.TemporaryDirectory() as scratch:
-        objects = [Path(scratch) / f"{source.stem}.o" for source in sources]
-        for output, (source, flags) in zip(objects, sources.items(), strict=True):
-            run(
-                compiler,
-                *FLAGS,
-                *flags,
-                f"-I{root / SHARED}",
-                "-isystem",
-                headers,
-                "-c",
-                source,
-                "-o",
-                output,
-            )
-        run(compiler, "-shared", *objects, "-ldl", "-o", library)
-    return library
+    about = f"-DJAXSCP_LEVEL={number}", f'-DJAXSCP_SOURCES="{digest_of_sources(root)(folder)}"'
+    return [*units, Unit(root / SHARED / "runs_here.cc", output("runs_here"), (SOON, *about))]
+
+
+def units_of_any(root: Path, stem: Path, scratch: Path) -> list[Unit]:
+    """Sources of a library that are compiled once, for any processor."""
+    folder = root / stem.parent
+    return [
+        Unit(folder / f"{name}.cc", scratch / f"{stem.name}_{name}.o", (SOON,)) for name in LIBRARIES[stem][1]
+    ]
+
+
+def compile_unit(compiler: str, root: Path, unit: Unit) -> None:
+    """Make an object file."""
+    headers = Path(importlib.util.find_spec("jaxlib").submodule_search_locations[0]) / "include"
+    folders = f"-I{root / SHARED}", "-isystem", headers
+    run(compiler, *FLAGS, *unit.flags, *folders, "-c", unit.source, "-o", unit.output)
 
 
 def digest_of_sources(root: Path) -> Callable[[Path], str]:
