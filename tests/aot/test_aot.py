@@ -217,7 +217,7 @@ def test_the_portable_form_gives_the_same_bits_here(file, tmp_path, scenario, ex
     assert_same(jaxscp.load(elsewhere)(scenario), expected)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_batch_is_that_of_vmap(scenario):
     batch = jax.tree.map(lambda v: jnp.stack([v] * 3), scenario)
     masses = batch.airframe.body.mass * jnp.array([1.0, 1.1, jnp.nan])
@@ -348,7 +348,7 @@ def test_a_cache_is_filled_and_only_when_asked_for(tmp_path):
     assert any((tmp_path / "cache").iterdir())
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_an_export_is_whole_though_its_programs_are_in_a_cache(tmp_path):
     """On the CPU, a program from JAX's cache lacks functions when stored again."""
     program = (

@@ -101,7 +101,7 @@ def test_end_is_the_same(both, seed, kind, norm):
         assert_same(jaxs.z, ours.z, SAME_POINT)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_accuracy_of_each_batch_element():
     """Coarser elements take fewer steps, and their distance from the optimum agrees with their accuracy."""
     program = random_program(3, nodes=9)

@@ -105,7 +105,7 @@ def test_each_batch_element_has_its_own_warm_start():
         assert int(batch.iterations[element]) == int(alone.iterations)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("norm", [True, False], ids=["norm cost", "quadratic cost"])
 def test_the_compiled_loop_starts_as_jax_does(norm):
     program = random_program(4, norm=norm)
@@ -167,7 +167,7 @@ def test_virtual_control_starts_at_its_value_only_at_the_bound(fraction):
 @pytest.mark.parametrize("norm", [True, False], ids=["norm cost", "quadratic cost"])
 @pytest.mark.parametrize(
     "compiled",
-    [pytest.param(True, id="compiled"), pytest.param(False, id="JAX", marks=pytest.mark.slow)],
+    [pytest.param(True, id="compiled"), pytest.param(False, id="JAX", marks=pytest.mark.nightly)],
 )
 def test_the_final_error_is_computed_not_predicted(compiled, norm):
     """Residuals are predicted far from the end; the error of a result must be exact."""

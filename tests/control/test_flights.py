@@ -106,12 +106,10 @@ def test_the_program_of_a_tick_is_solved_as_by_osqp():
         np.testing.assert_allclose(found, solution_of_osqp(qp), atol=SAME_THRUST)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("plan", "calm", "rough"),
-    [
-        pytest.param(adaptive_plan, 0.03, 0.1, marks=pytest.mark.slow),
-        pytest.param(uniform_plan, 0.03, 0.1, marks=pytest.mark.nightly),
-    ],
+    [(adaptive_plan, 0.03, 0.1), (uniform_plan, 0.03, 0.1)],
 )
 def test_plans_are_flown_and_end_in_hover_at_the_goal(plan, calm, rough):
     """Bounds of the tracking error in m are about twice the measured errors."""

@@ -191,7 +191,7 @@ def test_a_mirrored_scene_has_mirrored_gradients(planned):
         )
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("leaf", "h"),
     [

@@ -127,7 +127,7 @@ print(*found.cost)
 """
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_devices_share_a_batch(plans):
     settings = {"XLA_FLAGS": "--xla_force_host_platform_device_count=2", "JAX_PLATFORMS": "cpu"}
     done = subprocess.run(

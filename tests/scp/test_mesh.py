@@ -39,7 +39,7 @@ def transition(z, grid=GRID):
     return linearise(PROBLEM, z, grid).jacobian.end[:, :, : PROBLEM.state_size]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("seed", [0, 1])
 def test_bounded_intervals_are_those_whose_errors_are_large_at_some_node(seed):
     z = turning(seed, 1.0)

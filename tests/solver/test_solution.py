@@ -32,7 +32,7 @@ def test_it_says_which_backend_served(solution):
     assert served(solution) == f"integration: {integration}; conic step: {conic}"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_an_operation_without_compiled_code_is_served_by_jax_with_a_warning():
     if not INTEGRATION.available():
         pytest.skip("compiled code is not installed")

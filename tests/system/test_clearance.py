@@ -33,7 +33,7 @@ def status(solution):
     return jaxscp.status_names(solution.status)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_plan_whose_hull_touches_an_obstacle_is_not_converged():
     touching, clear = (PLANNER(scenario(least)) for least in (1.0, 1.0 + RADIUS + 0.002))
     assert status(touching) == "verification_failed"

@@ -180,7 +180,7 @@ def test_checks_are_for_the_certificate_alone():
     np.testing.assert_allclose(solution.certificate.between_nodes, [0.25], rtol=1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_scale_changes_no_answer():
     """The cost, in the user's units, and rows of the certificate."""
     plain = double_integrator(ENERGY, js.Time(11, js.FixedTime(2.0)))

@@ -12,7 +12,7 @@ GATE = 0.1  # m
 MILLIMETRE = 1e-3
 ORDERS = [
     pytest.param([[5.0, 2.0, 2.0]], id="one", marks=pytest.mark.nightly),
-    pytest.param([[5.0, 2.0, 2.0], [1.0, -2.0, 2.0]], id="there and back", marks=pytest.mark.slow),
+    pytest.param([[5.0, 2.0, 2.0], [1.0, -2.0, 2.0]], id="there and back", marks=pytest.mark.nightly),
     pytest.param([[1.0, -2.0, 2.0], [5.0, 2.0, 2.0]], id="on the way", marks=pytest.mark.slow),
     pytest.param([[5.0, 2.0, 2.0], [3.0, 0.0, 1.0], [1.0, -2.0, 2.0]], id="three", marks=pytest.mark.nightly),
 ]

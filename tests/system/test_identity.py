@@ -101,10 +101,8 @@ def drift_cost(constant):
     return EXACT + 2.0 * constant**2
 
 
-@pytest.mark.parametrize(
-    "with_folder",
-    [pytest.param(False, marks=pytest.mark.nightly), pytest.param(True, marks=pytest.mark.slow)],
-)
+@pytest.mark.nightly
+@pytest.mark.parametrize("with_folder", [False, True])
 def test_arrays_inside_a_jit_are_told_apart(with_folder, tmp_path):
     """Also by the cache's folder."""
     previous = js.use_cache(tmp_path) if with_folder else None

@@ -39,7 +39,7 @@ def test_a_quaternion_nearly_of_unit_norm_is_an_attitude():
     assert float(plan.certificate.error("final position")) < 1e-3
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_subproblem_that_is_not_solved_is_no_iteration_limit():
     """On the ceiling, corridor and landing cone leave the last nodes one point."""
     touching, below = (PLANNER(room(goal=(6.0, 1.0, height))) for height in (5.0, 4.95))
@@ -58,7 +58,7 @@ def test_a_replan_through_another_corridor_has_its_polytopes():
     np.testing.assert_allclose(position(plan)[0], scenario.start.position, atol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_trajectory_is_replanned_like_its_solution():
     plan, moved = PLANNER(room()), room(goal=(6.2, 1.0, 1.0))
     from_solution, from_trajectory = PLANNER.replan(plan, moved), PLANNER.replan(plan.trajectory, moved)

@@ -128,7 +128,8 @@ RENAMED = {
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "rotors")) for name in RENAMED]
+    "name",
+    [pytest.param(n, marks=pytest.mark.slow if n == "mirror" else pytest.mark.nightly) for n in RENAMED],
 )
 def test_the_same_path_under_other_names(name):
     changed, signs = RENAMED[name]

@@ -137,7 +137,7 @@ def cheapest():
     return compiled(without_limit)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_minimum_energy_at_a_fixed_time_without_constraints(cheapest):
     """The integral of u^2 is 12 d^2 / t_f^3, and u falls along a straight line. Two equal limits of the dilation fix
     t_f, so that the derivative in t_f is the sum of theirs."""
@@ -213,7 +213,7 @@ SIDES = pytest.mark.parametrize(
 )
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @SIDES
 def test_car_takes_the_shortest_path(drive, side):
     """No path is shorter than the Dubins path, whose cost bounds the optimum from above."""

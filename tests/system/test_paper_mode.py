@@ -68,6 +68,7 @@ def test_every_iterate_takes_the_same_time(both, case):
     np.testing.assert_allclose(ours.history.final_time[: len(expected)], expected, rtol=SAME_TIME)
 
 
+@pytest.mark.slow
 def test_three_boxes_stop_where_the_published_stack_is_known_to(both):
     ours, _ = both("three boxes")
     assert int(ours.iterations) == 4
@@ -75,6 +76,7 @@ def test_three_boxes_stop_where_the_published_stack_is_known_to(both):
     np.testing.assert_allclose(ours.history.final_time[3], 5.91, atol=0.005)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_arrays_survive_the_way_there(both, case):
     """The converted problem has the rival's guess, and the same effort and time along this guess."""

@@ -49,7 +49,11 @@ def test_coarse_subproblems_end_where_exact_ones_do():
     "name",
     [pytest.param("platform", marks=pytest.mark.slow), pytest.param("ascend", marks=pytest.mark.nightly)],
 )
-@pytest.mark.parametrize("method", [jaxscp.PTR(), jaxscp.NewtonSCP()], ids=["paper", "newton"])
+@pytest.mark.parametrize(
+    "method",
+    [jaxscp.PTR(), pytest.param(jaxscp.NewtonSCP(), marks=pytest.mark.nightly)],
+    ids=["paper", "newton"],
+)
 def test_scipy_lands_where_the_plan_says(name, method):
     """SciPy's DOP853 integrates the controls, independent of the certificate's integrator."""
     scenario = MISSIONS[name]()

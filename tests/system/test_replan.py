@@ -45,7 +45,7 @@ def test_a_plan_off_its_ends_returns_to_them(plan, scenario):
     assert_replans(plan, scenario)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_plan_from_a_file_replans_alike(plan, tmp_path):
     scenario = CHANGES["goal away by 1 m"]
     plan.save(tmp_path / "plan.npz", scenario)

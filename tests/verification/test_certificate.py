@@ -12,7 +12,7 @@ from jaxscp.verification.certificate import certify
 TUMBLING = 1e6  # N of one rotor: far more turns an interval than steps of the integration
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_flight_that_cannot_be_integrated_is_infinitely_bad():
     problem, z, _ = Planner(nodes=10).pipeline.setup(scenarios.ascent_to_platform())
     trajectory = trajectory_of(problem, z.at[:, problem.state_size].add(TUMBLING))
