@@ -294,6 +294,7 @@ def test_calls_that_are_not_for_the_default_device_compile_as_jax_does(scenario)
         assert cached(PLANNER.pipeline._maker(), scenario) is None
 
 
+@pytest.mark.slow
 def test_replans_share_what_plans_have_compiled(scenario, monkeypatch):
     planned = PLANNER(scenario)
     again = PLANNER.replan(planned, scenario)

@@ -94,6 +94,7 @@ def unpacked(program: StagedProgram, x, y):
 
 
 @kinds
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_slopes_are_diffcps(seed, norm):
     program = random_program(seed, norm=norm)

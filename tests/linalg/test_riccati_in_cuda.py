@@ -40,7 +40,9 @@ def assert_close(expected, found, tolerance=ROUNDING):
 
 @needs_compiler
 @pytest.mark.parametrize("convex", [True, False])
-@pytest.mark.parametrize("sizes", [(5, 4, 2), (3, 2, 1), (2, 5, 2)])
+@pytest.mark.parametrize(
+    "sizes", [(5, 4, 2), *(pytest.param(s, marks=pytest.mark.slow) for s in [(3, 2, 1), (2, 5, 2)])]
+)
 def test_kernels_equal_jax(convex, sizes, emulated):
     """A batch of two, factored and solved; the last solution has no refinement."""
     problems = [random_lq(seed, convex, *sizes) for seed in (0, 1)]

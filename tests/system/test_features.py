@@ -190,6 +190,7 @@ def test_a_scale_changes_no_answer():
     np.testing.assert_allclose(other.trajectory.state, one.trajectory.state, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_guess_off_both_ends():
     """By a metre and a metre a second."""
     problem = double_integrator(ENERGY, js.Time(11, js.FixedTime(2.0)))
@@ -197,6 +198,7 @@ def test_a_guess_off_both_ends():
     np.testing.assert_allclose(solved(problem, guess).cost, 1.5, rtol=EXACT)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("duration", [1.0, 1.9, 2.1])
 def test_a_solution_is_a_guess_for_another_fixed_time(duration):
     """Of least energy, 12 d^2 / T^3; the plan for a longer time costs less than the optimum of a shorter one."""
