@@ -1,9 +1,9 @@
 """Corridors from point clouds: safety, connection, size and construction time.
 
 Run ``python -m benchmarks.corridors``. ``--json`` prints the same figures as JSON. ``--maps`` sets the number of random
-maps of the four kinds. ``--real`` names a folder with further clouds and meshes. ``--batch`` sets how many corridors
-are planned at once. ``--maps-at-once`` sets how many maps are timed at once on the default device of JAX. The last two
-are for a GPU.
+maps of the four kinds, from number ``--first`` on: several processes can share them. ``--real`` names a folder with
+further clouds and meshes. ``--batch`` sets how many corridors are planned at once. ``--maps-at-once`` sets how many
+maps are timed at once on the default device of JAX. The last two are for a GPU.
 """
 
 import argparse
@@ -91,9 +91,9 @@ METHODS: dict[str, Decomposition] = {
 REFERENCE = TangentShrinking()
 
 
-def random_maps(count: int) -> Iterator[synthetic_maps.Map]:
+def random_maps(count: int, first: int = 0) -> Iterator[synthetic_maps.Map]:
     kinds = list(synthetic_maps.KINDS.values())
-    for seed in range(count):
+    for seed in range(first, first + count):
         place = kinds[seed % len(kinds)](seed // len(kinds))
         yield dataclasses.replace(place, name=f"{place.name} {seed // len(kinds)}")
 
@@ -381,6 +381,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--maps", type=int, default=500, help="random maps in the check of safety")
+    parser.add_argument("--first", type=int, default=0, help="number of the first of these maps")
     parser.add_argument("--sized", type=int, default=40, help="random maps in the comparison of volumes")
     parser.add_argument("--batch", type=int, default=1, help="corridors planned through at once; 0: none")
     parser.add_argument("--maps-at-once", type=int, default=0, help="maps to build corridors in at once")
@@ -394,7 +395,7 @@ def main() -> None:
 
     report = {}
     if options.maps:
-        report["safety"] = safety(list(random_maps(options.maps)), options.batch)
+        report["safety"] = safety(list(random_maps(options.maps, options.first)), options.batch)
     if options.sized:
         report["sizes"] = sizes(list(random_maps(options.sized)))
         report["ms_12_polytopes"] = milliseconds()

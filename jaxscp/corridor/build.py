@@ -165,7 +165,7 @@ def build_corridor(
     thinned, decks, gap = _prepared(settings, cloud, (first, last), radius)
     lower, upper = (None, None) if limits is None else limits
     searched = {"clearance": settings.clearance, "lower": lower, "upper": upper, "cell": settings.cell}
-    route = find_route(thinned, first, last, radius, **searched, decks=decks)
+    route = find_route(thinned, first, last, radius, **searched, decks=decks, closed_gap=gap)
     if isinstance(route, NoRoute):
         return _without_route(route, report, gap)
     seeds = legs(route.points, settings.longest)

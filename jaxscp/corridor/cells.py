@@ -16,7 +16,9 @@ from jaxscp.corridor.polytope import Polytope
 from jaxscp.corridor.polytopes import Corridor
 
 _LEGS_A_CALL = 4
-_SMALLEST_BUCKET = 1024
+_SMALLEST_BUCKET = 4096
+"""Points that each leg of a call is padded to, or a power of four times as many. To compile a size takes seconds; to
+pass over padding takes a millisecond."""
 _MARGIN = 1e-3
 """How much farther than its box the host looks for a segment's points, metres."""
 
@@ -73,10 +75,10 @@ def chain(
     return Chain(corridor, balls.radius, cells.left)
 
 
-def consecutive_overlaps(polytopes: Polytope, skip: int = 1) -> Ball:
-    """Widest ball in the overlap of each polytope with the one ``skip`` further on; batched along axis 0."""
-    before = jax.tree.map(lambda rows: rows[:-skip], polytopes)
-    after = jax.tree.map(lambda rows: rows[skip:], polytopes)
+def consecutive_overlaps(polytopes: Polytope) -> Ball:
+    """Widest ball in the overlap of each polytope with the next; batched along axis 0."""
+    before = jax.tree.map(lambda rows: rows[:-1], polytopes)
+    after = jax.tree.map(lambda rows: rows[1:], polytopes)
     return jax.vmap(lambda a, b: deepest_ball(intersect(a, b)))(before, after)
 
 
@@ -118,7 +120,7 @@ def cells_along(
 ) -> Cell:
     """One cell a segment, from the host: each is given only the points near it.
 
-    Points are cut to each segment's box and padded to a power of two. Segments are run a few at a time, so that few
+    Points are cut to each segment's box and padded to one of few sizes. Segments are run a few at a time, so that few
     shapes are ever compiled. The cells come back as NumPy arrays along a leading axis.
 
     Args:
@@ -145,7 +147,7 @@ def cells_along(
     calls = []
     for first in range(0, len(order), _LEGS_A_CALL):
         some = order[first : first + _LEGS_A_CALL]
-        bucket = max(_SMALLEST_BUCKET, 1 << (near[some[-1]].shape[1] - 1).bit_length())
+        bucket = _bucket(near[some[-1]].shape[1])
         points = np.zeros((_LEGS_A_CALL, 3, bucket))
         present = np.zeros((_LEGS_A_CALL, bucket), bool)
         ends = np.zeros((_LEGS_A_CALL, 2, 3))
@@ -157,6 +159,14 @@ def cells_along(
         calls.append(run(method, (ends, points, present), (keep, clearance, low, high)))
     back = np.argsort(order)
     return jax.tree.map(lambda *rows: np.concatenate(rows)[back], *jax.device_get(calls))
+
+
+def _bucket(count: int) -> int:
+    """The size that so many points are padded to."""
+    size = _SMALLEST_BUCKET
+    while size < count:
+        size *= 4
+    return size
 
 
 def _near(

@@ -1,31 +1,38 @@
 """Polytopes left out of a chain: those without which the way stays about as wide, and rows that are no faces."""
 
+from itertools import pairwise
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxscp.corridor.cells import consecutive_overlaps
-from jaxscp.corridor.polytope import Polytope
+from jaxscp.corridor.overlaps import Ball, deepest_ball
+from jaxscp.corridor.polytope import Polytope, intersect
 from jaxscp.corridor.polytopes import Corridor
 from jaxscp.corridor.shapes import needed_faces
 
 Segments = Float[np.ndarray, "segments 2 3"]
 
-_overlaps = jax.jit(consecutive_overlaps, static_argnames="skip")
+_PAIRS_A_CALL = 16
+"""Overlaps measured at once: one number, so that one shape is compiled."""
 
 
-def _balls(polytopes: Polytope, skip: int) -> Float[np.ndarray, "pairs 4"]:
-    """Centre and radius of the widest ball in each overlap; rows padded so that few shapes are compiled."""
-    count = len(polytopes.offsets)
-    if count <= skip:
-        return np.empty((0, 4))
-    padded = jax.tree.map(
-        lambda rows: np.concatenate([rows, np.repeat(rows[-1:], -count % 8, axis=0)]), polytopes
-    )
-    ball = _overlaps(jax.tree.map(jnp.asarray, padded), skip=skip)
-    found = np.concatenate([np.asarray(ball.centre), np.asarray(ball.radius)[:, None]], axis=1)
-    return found[: count - skip].astype(float)
+@jax.jit
+def _deepest_balls(before: Polytope, after: Polytope) -> Ball:
+    """Widest ball in the overlap of each pair of polytopes."""
+    return jax.vmap(lambda a, b: deepest_ball(intersect(a, b)))(before, after)
+
+
+def _balls(polytopes: Polytope, pairs: list[tuple[int, int]]) -> Float[np.ndarray, "pairs 4"]:
+    """Centre and radius of the widest ball in the overlaps of some pairs of polytopes."""
+    found = [np.empty((0, 4))]
+    for first in range(0, len(pairs), _PAIRS_A_CALL):
+        some = pairs[first : first + _PAIRS_A_CALL]
+        sides = np.resize(np.array(some), (_PAIRS_A_CALL, 2)).T
+        ball = jax.device_get(_deepest_balls(*[chosen(polytopes, side.tolist()) for side in sides]))
+        found.append(np.concatenate([ball.centre, ball.radius[:, None]], axis=1)[: len(some)])
+    return np.concatenate(found).astype(float)
 
 
 def without_redundant(
@@ -34,8 +41,10 @@ def without_redundant(
     """Which polytopes to keep, and the overlaps between those."""
     rows = list(range(len(polytopes.offsets)))
     while True:
-        left = chosen(polytopes, rows)
-        near, far = _balls(left, 1), _balls(left, 2)
+        neighbours = list(pairwise(rows))
+        seconds = list(zip(rows[:-2], rows[2:], strict=True))
+        balls = _balls(polytopes, neighbours + seconds)
+        near, far = balls[: len(neighbours)], balls[len(neighbours) :]
         dropped = _droppable(near[:, 3], far[:, 3], clearance)
         if not dropped:
             return rows, near

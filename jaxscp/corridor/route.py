@@ -64,6 +64,8 @@ class RouteOptions(eqx.Module):
     """Edge of a voxel, metres; by default it follows from the volume, the radius and the memory."""
     decks: tuple[Deck | None, Deck | None] = (None, None)
     """Decks of start and goal."""
+    closed_gap: float = 0.0
+    """Longest gap between points of a map that further points of the cloud close, metres."""
 
 
 def find_route(
@@ -80,7 +82,7 @@ def find_route(
         start: (3,) metres.
         goal: (3,) metres.
         radius: safety radius of the vehicle, metres; the cloud's spread is added.
-        options: fields of ``RouteOptions``: clearance, lower, upper, margin, cell, decks.
+        options: fields of ``RouteOptions``: clearance, lower, upper, margin, cell, decks, closed_gap.
 
     Raises:
         ValueError: start or goal is not finite, outside the limits, or nearer to a point than the radius.
@@ -96,7 +98,8 @@ def find_route(
     cloud = PointCloud.at(cloud)
     space = _space(cloud, start, goal, radius, chosen)
     for end, (name, point) in enumerate((("start", start), ("goal", goal))):
-        _check_end(end, f"{name} ({point[0]:g}, {point[1]:g}, {point[2]:g})", point, space, cloud.spread)
+        place = f"{name} ({point[0]:g}, {point[1]:g}, {point[2]:g})"
+        _check_end(place, point, space.at_end(end, point), space, _reasons(cloud.spread, chosen.closed_gap))
     if space.along(start, goal) >= space.roomy:
         # Nothing is in the way, so nothing needs a grid.
         return _measured(np.stack([start, goal]), space, cloud.spread, float("nan"))
@@ -128,19 +131,27 @@ def _space(cloud: PointCloud, start: Point, goal: Point, radius: float, options:
     return search_space(cloud, Limits(lower, upper), radius, clearance, options.decks)
 
 
-def _check_end(end: int, place: str, point: Point, space: Space, spread: float) -> None:
+def _reasons(spread: float, gap: float) -> str:
+    """Why a place may be too near to an obstacle, besides the points of the map themselves."""
+    grown = f" (of which {spread:.3f} m for the thinning of the cloud)" if spread else ""
+    closed = (
+        f". Points that close gaps of up to {gap:.2g} m in the map count as obstacles; where its gaps are open, leave "
+        "them so: close_gaps=False in Python"
+    )
+    return grown + (closed if gap else "")
+
+
+def _check_end(place: str, point: Point, distance: float, space: Space, reasons: str) -> None:
     if np.any(point < space.lower) or np.any(point > space.upper):
         raise ValueError(
             f"{place} is outside the limits {space.lower} to {space.upper}; state wider ones: lower= and upper= "
             "(--lower, --upper)"
         )
-    distance = space.at_end(end, point)
     if distance < space.radius:
-        grown = f" (of which {spread:.3f} m for the thinning of the cloud)" if spread else ""
         raise ValueError(
             f"{place} is {distance:.3f} m from the nearest obstacle point, inside the safety radius of "
-            f"{space.radius:.3f} m{grown}. If the vehicle stands there, free its deck: --crop 0.5 on the command line, "
-            "remove=[box(...)] in Python. Else ask for a smaller radius (--radius)"
+            f"{space.radius:.3f} m{reasons}. If the vehicle stands there, free its deck: --crop 0.5 on the command "
+            "line, remove=[box(...)] in Python. Else ask for a smaller radius (--radius)"
         )
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from jaxscp.corridor import PointCloud, synthetic_maps
+from jaxscp.corridor import PointCloud, build_corridor, synthetic_maps
 from jaxscp.corridor.gaps import with_closed_gaps
 from jaxscp.corridor.spacing import typical_spacing
 
@@ -90,3 +90,14 @@ def test_the_spacing_is_that_of_the_grid_copies_left_out(count):
         [*np.meshgrid(np.arange(edge), np.arange(edge)), np.zeros((edge, edge))], -1
     ).reshape(-1, 3)
     assert typical_spacing(np.concatenate([grid, grid])) == pytest.approx(0.3)
+
+
+def test_an_end_in_a_closed_gap_is_told_why():
+    """0.35 m from every point of the map, between four points of a wall."""
+    wall = np.array([[3.0, y, z] for y in np.arange(-4, 4, 0.5) for z in np.arange(0, 4, 0.5)])
+    start, goal = [3.0, 0.25, 1.75], [0.0, 0.0, 1.5]
+    around = {"lower": [-1, -4, 0], "upper": [6, 4, 4]}
+    with pytest.raises(ValueError, match=r"start \(3, 0\.25, 1\.75\) is .*gaps of up to .*close_gaps=False"):
+        build_corridor(wall, start, goal, RADIUS, **around)
+    left_open = build_corridor(wall, start, goal, RADIUS, clearance=0.05, close_gaps=False, **around)
+    assert left_open.found
