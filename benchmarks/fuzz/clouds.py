@@ -45,9 +45,9 @@ def cloud(rng: np.random.Generator) -> Case:
         if not found.found or found.corridor is None:
             raise ValueError(found.message)
         ends = jaxscp.at_rest(start), jaxscp.at_rest(goal)
-        return jaxscp.scenarios.through(found.corridor, *ends, near_obstacles=found.near_obstacles)
+        return jaxscp.scenarios.through(found.corridor, *ends, near_obstacles=found.near_obstacles), world
 
-    return Case("cloud", name, lambda: planned(make, world, PLANNER))
+    return Case("cloud", name, lambda: planned(make, PLANNER))
 
 
 def _holes(points: Points, rng: np.random.Generator) -> Points:

@@ -1,7 +1,6 @@
 """Scenarios and corridors: random ones that can be flown, and mutations of these."""
 
 import dataclasses
-import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -21,12 +20,13 @@ PLANNER = jaxscp.Planner(nodes=16)
 NEAR = 2048  # points
 VALID = 0.65  # of these kinds: others have fewer plans
 HULL = 0.076  # m, of the paper's vehicle
+WRONG_NUMBER = "a wrong number"
 
 
-def planned(make: Callable[[], Any], world: World, planner: jaxscp.Planner = PLANNER) -> Ending:
-    """Plan a scenario and judge a plan that claims to have converged."""
+def planned(make: Callable[[], tuple[Any, World]], planner: jaxscp.Planner = PLANNER) -> Ending:
+    """Plan a scenario and judge, in its world, a plan that claims to have converged."""
     try:
-        scenario = make()
+        scenario, world = make()
         solution = jax.block_until_ready(planner(scenario))
     except (ValueError, MemoryError) as error:
         return refused(error)
@@ -65,8 +65,21 @@ def scenario(rng: np.random.Generator) -> Case:
     """A scenario in one room with limits, or in three without; or a mutation of one."""
     name = any_of(rng, MUTATIONS, VALID)
     made, world = _random(rng, int(rng.choice([1, 3])))
-    make = functools.partial(MUTATIONS[name], made, rng) if name else lambda: made
-    return Case("scenario", name, lambda: planned(make, world))
+
+    def make():
+        if not name:
+            return made, world
+        changed = MUTATIONS[name](made, rng)
+        moved = name == WRONG_NUMBER and not eqx.tree_equal(changed.corridor, made.corridor)
+        return changed, as_stated(changed.corridor, world) if moved else world
+
+    return Case("scenario", name, lambda: planned(make))
+
+
+def as_stated(corridor: Any, world: World) -> World:
+    """The world where a number moved a face of the corridor: another corridor, whose polytopes are the truth."""
+    cells = tuple(zip(np.asarray(corridor.normals), np.asarray(corridor.offsets), strict=True))
+    return world._replace(free=(), margin=0.0, cells=cells)
 
 
 def _at(where: Callable[[Any], Any], change: Callable[[np.ndarray, np.random.Generator], Any]):
@@ -108,7 +121,7 @@ def _mixed(made, rng: np.random.Generator) -> Any:
 
 
 MUTATIONS: dict[str, Callable[..., Any]] = {
-    "a wrong number": _leaf,
+    WRONG_NUMBER: _leaf,
     "a wrong shape": _shape,
     "a part is None": _none,
     "normals of any length": _mixed,
@@ -145,9 +158,10 @@ def corridor(rng: np.random.Generator) -> Case:
         made = connect([box(*cell) for cell in cells], margin=margin)
         near = obstacles_near(made, points, 0.35, size=NEAR)
         ends = jaxscp.at_rest(start), jaxscp.at_rest(goal)
-        return jaxscp.scenarios.through(made, *ends, airframe=frame, near_obstacles=near)
+        scenario = jaxscp.scenarios.through(made, *ends, airframe=frame, near_obstacles=near)
+        return scenario, World(points=points, least_points=radius)
 
-    return Case("corridor", name, lambda: planned(make, World(points=points, least_points=radius)))
+    return Case("corridor", name, lambda: planned(make))
 
 
 CORRIDORS: dict[str, Callable[..., tuple[list, float]]] = {

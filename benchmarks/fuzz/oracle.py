@@ -32,6 +32,8 @@ class World(NamedTuple):
     """Boxes whose union the vehicle's centre must not leave; none: anywhere."""
     margin: float = 0.0
     """m, that the centre keeps from the faces of that union."""
+    cells: Sequence[tuple[np.ndarray, np.ndarray]] = ()
+    """Normals and offsets of polytopes whose union the centre must not leave; none: anywhere."""
     solid: Sequence[Box] = ()
     """Boxes of matter."""
     least: float = 0.0
@@ -154,6 +156,10 @@ def _places(world: World, places: np.ndarray):
         depth = np.max([_depth(places, low, high) for low, high in world.free], axis=0).min()
         if not depth >= world.margin - SLACK * POSITION:
             yield f"comes within {depth:.3g} m of the walls, {world.margin:.3g} asked"
+    if len(world.cells):
+        depth = np.max([_depth_in_cell(places, *cell) for cell in world.cells], axis=0).min()
+        if not depth >= -SLACK * POSITION:
+            yield f"leaves the polytopes by {-depth:.3g} m"
     if len(world.solid):
         nearest = min(-_depth(places, low, high).max() for low, high in world.solid)
         if not nearest >= world.least - SLACK * POSITION:
@@ -162,6 +168,13 @@ def _places(world: World, places: np.ndarray):
         nearest = float(np.min(KDTree(world.points).query(places)[0]))
         if not nearest >= world.least_points - SLACK * POSITION:
             yield f"comes within {nearest:.3g} m of a point, {world.least_points:.3g} asked"
+
+
+def _depth_in_cell(places: np.ndarray, normals: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+    """Distance to the nearest face's plane, negative outside; rows without a normal are no faces."""
+    lengths = np.linalg.norm(normals, axis=1)
+    faces = lengths > 0.0
+    return np.min((offsets - places @ normals.T)[:, faces] / lengths[faces], axis=1)
 
 
 def _depth(places: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:

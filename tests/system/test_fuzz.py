@@ -45,6 +45,22 @@ def test_the_oracle_finds_a_plan_that_misses_or_touches():
     )
 
 
+def test_the_oracle_knows_polytopes_with_normals_of_any_length():
+    scenario, plan = hovering()
+    normals = 3.0 * np.array(
+        [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [0.0, 0.0, 0.0]]
+    )  # 0.5 m < z < 1.2 m, and padding
+    assert faults(scenario, plan, World(cells=[(normals, np.array([3.6, -1.5, 1.0]))])) == ""
+    found = faults(scenario, plan, World(cells=[(normals, np.array([2.7, -1.5, 1.0]))]))
+    assert "leaves the polytopes by 0.1 m" in found
+
+
+@pytest.mark.nightly
+def test_a_face_that_a_number_turned_is_another_corridor():
+    """A 0 in this case's normals became -1: a slanted face, behind which the plan leaves the old box."""
+    assert run_case(7865, case_of(6011, 7865)).ending == "converged"
+
+
 @pytest.mark.parametrize("kind", ["file", "command"])
 def test_inputs_that_need_no_compilation(kind):
     count = {"file": 40, "command": 30}[kind]
