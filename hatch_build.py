@@ -30,10 +30,8 @@ X86 = {
 }  # v4: AVX-512; v3: AVX2 and FMA
 ANYWHERE = {"any": ()}
 FLAGS = ("-std=c++20", "-fno-math-errno", "-fPIC", "-Wno-psabi")
-FAST, SOON = (
-    "-O3",
-    "-O1",
-)  # code that computes; code that only launches, which compiles in two thirds of the time
+FAST = "-O3"
+SOON = "-O1"  # for code that only launches kernels: it compiles in two thirds of the time
 
 
 class NativeBuild(BuildHookInterface):
