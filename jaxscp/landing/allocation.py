@@ -22,20 +22,24 @@ def allocate(route: Route, nodes: int) -> Int[Array, "intervals"]:
 
     Every leg gets one interval at least, and the last one as many as a landing needs, if there are enough. The time
     dilation adapts the mesh afterwards (Remark 1 of the paper). Legs of length zero at the start lie behind the vehicle
-    (``passed``), and get none.
+    (``passed``), and get none; nor do legs at the end that only pad.
     """
     lengths, count = route.lengths, route.lengths.shape[0]
     share = jnp.cumsum(lengths**GROWTH)
     passed = jnp.sum(share[:-1] == 0.0)
-    spare = (nodes - 1 - count + passed).astype(share.dtype)  # beyond one for each leg
+    last = count - 1 - jnp.minimum(route.padding, count - 1 - passed)
+    legs = last + 1 - passed
+    spare = (nodes - 1 - legs).astype(share.dtype)  # beyond one for each leg
     # What the last leg needs is taken from all legs before it, not from its neighbour alone.
     most = jnp.maximum(spare + 1.0 - in_last(nodes), 0.0)
-    before_last = jnp.minimum(spare * share[-2:-1] / jnp.maximum(share[-1], 1e-9), most)
-    fraction = share[:-1] / jnp.maximum(share[-2:-1], 1e-9)
+    before = jnp.where(last > 0, share[last - 1], 0.0)
+    before_last = jnp.minimum(spare * before / jnp.maximum(share[-1], 1e-9), most)
+    fraction = share[:-1] / jnp.maximum(before, 1e-9)
     least = jnp.maximum(jnp.arange(1, count) - passed, 0)
     # Where intervals are few, earlier legs get the odd ones: the first one starts from rest.
-    exact, few = before_last * fraction, nodes <= INTERVALS_A_LEG * (count - passed)
+    exact, few = before_last * fraction, nodes <= INTERVALS_A_LEG * legs
     ends = least + jnp.where(few, jnp.ceil(exact - ROUNDING), jnp.round(exact)).astype(int)
+    ends = jnp.where(jnp.arange(count - 1) < last, ends, nodes - 1)
     return jnp.searchsorted(ends, jnp.arange(nodes - 1), side="right", method="compare_all").astype(int)
 
 

@@ -24,6 +24,8 @@ class Route(eqx.Module):
     """Of every leg."""
     to_gate: Int[Array, "gates"]
     """Leg that ends at each gate."""
+    padding: Int[Array, ""]
+    """Number of legs at the end that only pad (``corridor.pad``)."""
 
     @property
     def lengths(self) -> Float[Array, "legs"]:
@@ -52,7 +54,8 @@ def route_of(corridor: Corridor, start: Vector3, goal: Vector3, gates: Points | 
     """
     if gates is None or gates.shape[0] == 0:
         points = jnp.concatenate([start[None], corridor.joints, goal[None]])
-        return Route(points, jnp.arange(corridor.count), jnp.zeros(0, int))
+        polytope = jnp.arange(corridor.count)
+        return Route(points, polytope, jnp.zeros(0, int), _padding(corridor, points, polytope))
     count, joints = gates.shape[0], corridor.joints.shape[0]
     within = _polytopes_of(corridor, start, goal, gates)
     # Joint j lies between polytopes j and j + 1; the gates of polytope j come before it, in their order.
@@ -61,7 +64,15 @@ def route_of(corridor: Corridor, start: Vector3, goal: Vector3, gates: Points | 
     inner = jnp.concatenate([corridor.joints, gates])[order]
     points = jnp.concatenate([start[None], inner, goal[None]])
     passed = jnp.concatenate([jnp.zeros(1, int), jnp.cumsum(order < joints)])
-    return Route(points, passed, jnp.argsort(order)[joints:])
+    return Route(points, passed, jnp.argsort(order)[joints:], _padding(corridor, points, passed))
+
+
+def _padding(corridor: Corridor, points: Points, polytope: Int[Array, "legs"]) -> Int[Array, ""]:
+    """Number of last legs without length in the polytope of the leg before: the goal lies before them."""
+    normals, offsets = corridor.normals[polytope], corridor.offsets[polytope]
+    again = jnp.all(normals[1:] == normals[:-1], axis=(1, 2)) & jnp.all(offsets[1:] == offsets[:-1], axis=1)
+    idle = again & jnp.all(points[1:-1] == points[2:], axis=1)
+    return jnp.sum(jnp.cumprod(idle[::-1].astype(int)))
 
 
 def _polytopes_of(corridor: Corridor, start: Vector3, goal: Vector3, gates: Points) -> Int[Array, "gates"]:

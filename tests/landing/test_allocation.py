@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxscp import Planner, scenarios, status_names
+from jaxscp.corridor import pad
 from jaxscp.corridor.polytopes import box, connect
 from jaxscp.landing.allocation import allocate, in_last, route_positions
 from jaxscp.landing.route import route_of
@@ -32,6 +33,31 @@ def test_every_polytope_has_intervals_in_order_and_the_last_enough_to_land(lengt
     assert counts.sum() == nodes - 1
     assert counts.min() >= 1
     assert counts[-1] >= min(in_last(nodes), nodes - len(lengths))
+
+
+@settings(max_examples=8, deadline=None)
+@given(st.lists(st.floats(0.2, 20.0), min_size=1, max_size=6), st.integers(8, 60), st.integers(1, 5))
+def test_padding_changes_no_allocation(lengths, nodes, more):
+    corridor, start, goal = hall(lengths)
+    expected = allocate(route_of(corridor, start, goal), nodes)
+    longer = pad(corridor, goal, polytopes=corridor.count + more, faces=9)
+    route = route_of(longer, start, goal)
+    assert int(route.padding) == more
+    np.testing.assert_array_equal(allocate(route, nodes), expected)
+
+
+def test_a_goal_at_a_joint_is_no_padding():
+    """The last polytope is another one, and the landing may need it."""
+    corridor, start, _ = hall([2.0, 3.0])
+    route = route_of(corridor, start, corridor.joints[-1])
+    assert int(route.padding) == 0
+    assert np.unique(allocate(route, 30)).tolist() == [0, 1]
+
+
+def test_a_hover_in_a_padded_room_has_all_intervals():
+    corridor, start, _ = hall([2.0])
+    route = route_of(pad(corridor, start, polytopes=3), start, start)
+    assert len(np.unique(allocate(route, 30))) == 1
 
 
 def test_long_polytopes_have_more_intervals():
