@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int, ScalarLike
 from jaxscp.core.types import Vector3
 from jaxscp.corridor.clouds import PointCloud
 from jaxscp.corridor.decompose import Cell, Decomposition, Seed, seed_of
-from jaxscp.corridor.overlaps import Ball, deepest_ball, intersect
+from jaxscp.corridor.overlaps import Ball, overlap_balls
 from jaxscp.corridor.polytope import Polytope
 from jaxscp.corridor.polytopes import Corridor
 
@@ -79,7 +79,7 @@ def consecutive_overlaps(polytopes: Polytope) -> Ball:
     """Widest ball in the overlap of each polytope with the next; batched along axis 0."""
     before = jax.tree.map(lambda rows: rows[:-1], polytopes)
     after = jax.tree.map(lambda rows: rows[1:], polytopes)
-    return jax.vmap(lambda a, b: deepest_ball(intersect(a, b)))(before, after)
+    return overlap_balls(before, after)
 
 
 @jax.jit

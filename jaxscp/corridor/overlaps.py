@@ -65,6 +65,19 @@ def deepest_ball(polytope: Polytope) -> Ball:
     return Ball(centre, jnp.min(gaps))
 
 
+def overlap_balls(before: Polytope, after: Polytope) -> Ball:
+    """Widest ball in the overlap of each pair of polytopes; batched along axis 0.
+
+    Example:
+        >>> import jax, jaxscp
+        >>> box = jaxscp.corridor.box
+        >>> pair = box([0.0, 0, 0], [4.0, 2, 3]), box([3.0, 0, 0], [9.0, 2, 3])
+        >>> overlap_balls(*[jax.tree.map(lambda rows: rows[None], each) for each in pair]).radius.round(4).tolist()
+        [0.5]
+    """
+    return jax.vmap(lambda a, b: deepest_ball(intersect(a, b)))(before, after)
+
+
 def _longest_step(value: Array, move: Array) -> Array:
     """Largest step, at most one, that leaves every value positive."""
     return jnp.minimum(1.0, jnp.min(jnp.where(move < 0, -value / jnp.where(move < 0, move, 1.0), jnp.inf)))

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import ArrayLike
 
 from jaxscp.core.arrays import floats, namespace, unit_lengths
@@ -66,6 +66,19 @@ class Corridor(eqx.Module):
         cells = zip(np.asarray(self.normals), np.asarray(self.offsets), strict=True)
         found = {(normals.tobytes(), offsets.tobytes()): (normals, offsets) for normals, offsets in cells}
         return [Polytope(*map(jnp.asarray, cell)) for cell in found.values()]
+
+    def same(self, first: Int[Array, "*_"], second: Int[Array, "*_"]) -> Bool[Array, "*_"]:
+        """Whether pairs of polytopes, given by number, have the same rows: padding repeats the last one.
+
+        Example:
+            >>> import jax.numpy as jnp, jaxscp
+            >>> room = jaxscp.corridor.connect([jaxscp.corridor.box([0, 0, 0], [4, 2, 3])], joints=[])
+            >>> padded = jaxscp.corridor.pad(room, [1, 1, 1], polytopes=3)
+            >>> padded.same(jnp.arange(3), jnp.array(0)).tolist()
+            [True, True, True]
+        """
+        normals = jnp.all(self.normals[first] == self.normals[second], axis=(-2, -1))
+        return normals & jnp.all(self.offsets[first] == self.offsets[second], axis=-1)
 
     def with_unit_normals(self) -> "Corridor":
         """The same corridor with unit normals, so that offsets and violations are metres.

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxscp.corridor.overlaps import Ball, deepest_ball
-from jaxscp.corridor.polytope import Polytope, intersect
+from jaxscp.corridor.overlaps import overlap_balls
+from jaxscp.corridor.polytope import Polytope
 from jaxscp.corridor.polytopes import Corridor
 from jaxscp.corridor.shapes import needed_faces
 
@@ -18,10 +18,7 @@ _PAIRS_A_CALL = 16
 """Overlaps measured at once: one number, so that one shape is compiled."""
 
 
-@jax.jit
-def _deepest_balls(before: Polytope, after: Polytope) -> Ball:
-    """Widest ball in the overlap of each pair of polytopes."""
-    return jax.vmap(lambda a, b: deepest_ball(intersect(a, b)))(before, after)
+_overlap_balls = jax.jit(overlap_balls)
 
 
 def _balls(polytopes: Polytope, pairs: list[tuple[int, int]]) -> Float[np.ndarray, "pairs 4"]:
@@ -30,7 +27,7 @@ def _balls(polytopes: Polytope, pairs: list[tuple[int, int]]) -> Float[np.ndarra
     for first in range(0, len(pairs), _PAIRS_A_CALL):
         some = pairs[first : first + _PAIRS_A_CALL]
         sides = np.resize(np.array(some), (_PAIRS_A_CALL, 2)).T
-        ball = jax.device_get(_deepest_balls(*[chosen(polytopes, side.tolist()) for side in sides]))
+        ball = jax.device_get(_overlap_balls(*[chosen(polytopes, side.tolist()) for side in sides]))
         found.append(np.concatenate([ball.centre, ball.radius[:, None]], axis=1)[: len(some)])
     return np.concatenate(found).astype(float)
 

@@ -199,12 +199,8 @@ class Mission(eqx.Module):
         """
         if self.near_obstacles is None:
             return None
-        normals, offsets = self.corridor.normals, self.corridor.offsets
-        # Padding repeats the last polytope.
-        ends = [
-            jnp.all(normals == normals[k], axis=(1, 2)) & jnp.all(offsets == offsets[k], axis=1)
-            for k in (0, -1)
-        ]
+        every = jnp.arange(self.corridor.count)
+        ends = [self.corridor.same(every, every[k]) for k in (0, -1)]
         polytope = self.with_unit_directions().route().polytope[context]
         return Hull(self.airframe.radius, self.near_obstacles, (ends[0] | ends[1])[polytope])
 

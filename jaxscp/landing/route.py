@@ -69,8 +69,7 @@ def route_of(corridor: Corridor, start: Vector3, goal: Vector3, gates: Points | 
 
 def _padding(corridor: Corridor, points: Points, polytope: Int[Array, "legs"]) -> Int[Array, ""]:
     """Number of last legs without length in the polytope of the leg before: the goal lies before them."""
-    normals, offsets = corridor.normals[polytope], corridor.offsets[polytope]
-    again = jnp.all(normals[1:] == normals[:-1], axis=(1, 2)) & jnp.all(offsets[1:] == offsets[:-1], axis=1)
+    again = corridor.same(polytope[1:], polytope[:-1])
     idle = again & jnp.all(points[1:-1] == points[2:], axis=1)
     return jnp.sum(jnp.cumprod(idle[::-1].astype(int)))
 

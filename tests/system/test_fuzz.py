@@ -47,9 +47,8 @@ def test_the_oracle_finds_a_plan_that_misses_or_touches():
 
 def test_the_oracle_knows_polytopes_with_normals_of_any_length():
     scenario, plan = hovering()
-    normals = 3.0 * np.array(
-        [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [0.0, 0.0, 0.0]]
-    )  # 0.5 m < z < 1.2 m, and padding
+    # 0.5 m < z < 1.2 m, and padding
+    normals = 3.0 * np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [0.0, 0.0, 0.0]])
     assert faults(scenario, plan, World(cells=[(normals, np.array([3.6, -1.5, 1.0]))])) == ""
     found = faults(scenario, plan, World(cells=[(normals, np.array([2.7, -1.5, 1.0]))]))
     assert "leaves the polytopes by 0.1 m" in found
