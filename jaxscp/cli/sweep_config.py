@@ -3,6 +3,7 @@
 import importlib.util
 import tomllib
 from collections.abc import Callable
+from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -92,10 +93,11 @@ def _from_python(name: str, here: Path) -> mc.Study:
     file, _, attribute = name.partition(":")
     path = here / file
     spec = importlib.util.spec_from_file_location(path.stem, path)
-    if not path.is_file() or spec is None or spec.loader is None or not attribute:
+    if not path.is_file() or spec is None or not isinstance(spec.loader, SourceFileLoader) or not attribute:
         raise ValueError(f'[sweep] study: expected "FILE.py:NAME" of a file beside this one, got {name!r}')
     module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    # The text, not cached bytecode: that counts as fresh after an edit within a second that leaves the size.
+    exec(spec.loader.source_to_code(path.read_bytes(), str(path)), module.__dict__)
     found = getattr(module, attribute, None)
     found = found() if callable(found) else found
     if not isinstance(found, mc.Study):

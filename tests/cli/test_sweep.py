@@ -1,6 +1,8 @@
 """The command ``sweep``: configurations, answers, and wrong requests. Cases are cheap functions, not plans."""
 
 import json
+import os
+import sys
 
 import numpy as np
 import pytest
@@ -133,9 +135,14 @@ def test_wrong_configurations_name_the_key(tmp_path, old, new, message):
     assert message in found["message"]
 
 
-def test_another_study_in_the_folder(own, tmp_path):
+def test_another_study_in_the_folder(own, tmp_path, monkeypatch):
+    """Even where the edited file has the size and the time of the old one, for which Python keeps bytecode."""
+    monkeypatch.setattr(sys, "dont_write_bytecode", False)
+    file = tmp_path / "own.py"
+    before = file.stat()
     assert invoke(own).exit_code == 0
-    (tmp_path / "own.py").write_text(OWN.replace("0.2", "0.3"))
+    file.write_text(OWN.replace("0.2", "0.3"))
+    os.utime(file, ns=(before.st_atime_ns, before.st_mtime_ns))
     result = invoke(own, "--json")
     assert result.exit_code == 2
     assert "holds another sweep" in json.loads(result.stdout)["message"]
