@@ -17,6 +17,7 @@ from benchmarks.robustness import parts  # noqa: E402
 
 PARTS = {
     "chains": parts.chains,
+    "chains-of-four": parts.chains_of_four,
     "limits": parts.limits,
     "vehicles": parts.vehicles,
     "units": parts.units,

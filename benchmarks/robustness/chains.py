@@ -31,11 +31,11 @@ class Chain(NamedTuple):
     witness: Witness
 
 
-def chain(seed: int) -> Chain:
-    """A random chain; draws that no slow motion flies are drawn anew."""
+def chain(seed: int, boxes: int | None = None) -> Chain:
+    """A random chain, of so many boxes if given; draws that no slow motion flies are drawn anew."""
     random = np.random.default_rng([seed, 41])
     while True:
-        points, halves = _ways(random)
+        points, halves = _ways(random, boxes)
         scenario = _scenario(random, points, halves)
         heading = np.asarray(rotation_matrix(scenario.start.attitude))
         found = witness(scenario.airframe, _legs(points, halves) @ heading, float(scenario.dilation_max))
@@ -58,9 +58,9 @@ def vehicle(mass: float, load: float) -> jaxscp.airframes.Airframe:
     )
 
 
-def _ways(random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def _ways(random: np.random.Generator, boxes: int | None) -> tuple[np.ndarray, np.ndarray]:
     """Way-points (boxes + 1, 3) and half-widths (boxes,), m; each way turns, and some rise or fall."""
-    count = int(random.integers(3, MOST_BOXES + 1))
+    count = boxes or int(random.integers(3, MOST_BOXES + 1))
     points, axis = [np.array([0.0, 0.0, 2.0])], 0
     for _ in range(count):
         axis = int(random.choice([a for a in range(3) if a != axis or len(points) == 1]))

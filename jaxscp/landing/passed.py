@@ -7,9 +7,39 @@ from jaxtyping import Array, Int
 
 from jaxscp.core.types import Scalar
 from jaxscp.landing.mission import Mission
+from jaxscp.landing.recovery import CLEARANCE
 
 LEAST_TIME = 0.05  # of the rest of a plan: a rest may be quicker than the least time of the whole
 PASSED_GATE = 1e-3  # times a passed gate's shape, a thousand times its size: it asks for nothing any more
+
+
+def present_leg(mission: Mission, leg: Int[Array, ""] | int) -> Int[Array, ""]:
+    """The leg that the start lies on: the planned one, or a later one that it has reached.
+
+    Noise, and the walls that move out for a start outside, lead a vehicle out of its polytope and into the next one.
+
+    Args:
+        mission: its start is the present state.
+        leg: planned one, of its route.
+
+    Example:
+        >>> import dataclasses, jax, jaxscp
+        >>> from jaxscp.corridor import box, connect
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> rooms = connect([box([0, 0, 0], [5, 2, 2]), box([4, 0, 0], [9, 2, 2])])
+        >>> ends = jaxscp.at_rest([1.0, 1.0, 1.0]), jaxscp.at_rest([8.0, 1.0, 1.0])
+        >>> for x in (4.5, 5.1):
+        ...     start = jaxscp.at_rest([x, 1.0, 1.0])
+        ...     mission = dataclasses.replace(jaxscp.scenarios.through(rooms, *ends), start=start)
+        ...     print(present_leg(mission, 0))
+        0
+        1
+    """
+    frozen = jax.lax.stop_gradient(mission.with_unit_directions())
+    inside = frozen.corridor.clearance(frozen.start.position)[frozen.route().polytope]
+    left = (inside[:-1] < -CLEARANCE) & (inside[1:] > inside[:-1])
+    behind = left | (jnp.arange(left.shape[0]) < leg)
+    return jnp.sum(jnp.cumprod(behind.astype(int)))
 
 
 def without_passed(mission: Mission, leg: Int[Array, ""] | int, time: Scalar | float = jnp.inf) -> Mission:

@@ -12,7 +12,7 @@ from jaxscp.core.types import Flag, Scalar
 from jaxscp.landing.allocation import allocate, fits, usual_nodes
 from jaxscp.landing.guess import initial_guess
 from jaxscp.landing.mission import PARTS, Mission
-from jaxscp.landing.passed import without_passed
+from jaxscp.landing.passed import present_leg, without_passed
 from jaxscp.landing.problem import landing_problem
 from jaxscp.landing.recovery import RECOVERY, starts_outside
 from jaxscp.landing.structure import check_parts
@@ -108,9 +108,11 @@ class LandingScenario(Mission):
 
     def without_passed(
         self, context: Allocation, interval: Int[Array, ""], time: Scalar
-    ) -> "LandingScenario":
-        """The rest of the mission, whose start lies on an interval of a plan with this allocation, ``time`` s long."""
-        return without_passed(self, context[interval], time)  # pyright: ignore[reportReturnType]
+    ) -> tuple["LandingScenario", Allocation]:
+        """The rest of the mission from an interval of a plan on, ``time`` s long, and the allocation for it."""
+        leg = present_leg(self, context[interval])
+        rest: Any = without_passed(self, leg, time)
+        return rest, jnp.maximum(context, leg)
 
     def in_solver_units(self, form: Form) -> tuple["LandingScenario", Units | None]:
         """The scenario in units taken from it, and the units.

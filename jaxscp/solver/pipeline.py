@@ -189,7 +189,7 @@ def _rest(plan: Trajectory, context: Any, scenario: Any, elapsed: Scalar | float
     if context is not None:
         first, count = plan.scaled_time(elapsed), plan.nodes - 1
         interval_of = lambda tau: jnp.minimum(jnp.floor(tau * count), count - 1).astype(int)  # noqa: E731
-        scenario = scenario.without_passed(context, interval_of(first), rest.time[-1])
+        scenario, context = scenario.without_passed(context, interval_of(first), rest.time[-1])
         # Old intervals in which the new ones lie: those are shorter, so that none of the old ones is left out. The
         # first one holds the start.
         middles = first + (1.0 - first) * (jnp.arange(count, dtype=first.dtype) + 0.5) / count

@@ -50,9 +50,9 @@ class Request(eqx.Module):
         """False: the problem's own constraints hold from the start."""
         return jnp.zeros((), bool)
 
-    def without_passed(self, context: Any, interval: Any, time: Any) -> "Request":
+    def without_passed(self, context: Any, interval: Any, time: Any) -> tuple["Request", Any]:
         """All of it: the problem says what is left."""
-        return self
+        return self, context
 
     def in_solver_units(self, form: Form) -> tuple["Request", None]:
         """As it is: a problem states its own scale."""

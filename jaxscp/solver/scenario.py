@@ -71,8 +71,8 @@ class Scenario(Protocol):
         """Whether it does."""
         ...
 
-    def without_passed(self, context: Any, interval: Int[Array, ""], time: Scalar) -> Any:
-        """The rest of the scenario, whose start lies on an interval of a plan with this context, ``time`` s long."""
+    def without_passed(self, context: Any, interval: Int[Array, ""], time: Scalar) -> tuple[Any, Any]:
+        """The rest of the scenario from an interval of a plan on, ``time`` s long, and the plan's context for it."""
         ...
 
     def in_solver_units(self, form: Form) -> tuple["Scenario", Units | None]:

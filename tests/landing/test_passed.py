@@ -9,7 +9,7 @@ import numpy as np
 import jaxscp
 from jaxscp.corridor import box, connect
 from jaxscp.landing.allocation import allocate, fits, gate_nodes
-from jaxscp.landing.passed import LEAST_TIME, without_passed
+from jaxscp.landing.passed import LEAST_TIME, present_leg, without_passed
 from tests.support.rooms import put
 
 BOXES = [box([0, 0, 0], [4, 2, 3]), box([3, 0, 0], [8, 2, 3]), box([7, 0, 0], [12, 2, 3])]
@@ -58,6 +58,25 @@ def test_a_mission_at_its_start_is_the_whole_one():
     same = without_passed(WHOLE, 0)
     for a, b in zip(jax.tree.leaves(same), jax.tree.leaves(WHOLE), strict=True):
         np.testing.assert_array_equal(a, b)
+
+
+def at(x, y=1.0):
+    return put(WHOLE, lambda s: s.start.position, [x, y, 1.5])
+
+
+def test_a_start_in_its_polytope_is_on_its_leg():
+    assert [int(present_leg(at(3.5), leg)) for leg in range(5)] == list(range(5))
+    assert [int(present_leg(at(7.5), leg)) for leg in range(2, 6)] == list(range(2, 6))
+
+
+def test_a_start_that_left_its_polytope_for_the_next_one_is_on_the_next_leg():
+    """No gate is left out: the leg after it lies in the same polytope."""
+    assert int(present_leg(at(8.2), 4)) == 5  # polytope 1 ends at 8 m, and polytope 2 begins at 7 m
+    assert int(present_leg(at(8.2), 3)) == 3
+    assert int(present_leg(at(5.5, 2.02), 4)) == 4  # outside of a side wall
+    validated, allocation = at(8.2).without_passed(jnp.array([4, 4, 5, 5]), jnp.array(0), jnp.array(2.0))
+    assert allocation.tolist() == [5, 5, 5, 5]
+    jaxscp.validate(validated, nodes=30)
 
 
 def test_an_allocation_serves_again_for_the_same_rest_alone():
