@@ -111,8 +111,8 @@ class LandingScenario(Mission):
     ) -> tuple["LandingScenario", Allocation]:
         """The rest of the mission from an interval of a plan on, ``time`` s long, and the allocation for it."""
         leg = present_leg(self, context[interval])
-        rest: Any = without_passed(self, leg, time)
-        return rest, jnp.maximum(context, leg)
+        rest = without_passed(self, leg, time)
+        return rest, jnp.maximum(context, leg)  # pyright: ignore[reportReturnType]
 
     def in_solver_units(self, form: Form) -> tuple["LandingScenario", Units | None]:
         """The scenario in units taken from it, and the units.
