@@ -218,11 +218,5 @@ def _from(
     scenario: jaxscp.LandingScenario, state: np.ndarray, position: np.ndarray
 ) -> jaxscp.LandingScenario:
     """The scenario from a measured state."""
-    start = dataclasses.replace(
-        scenario.start,
-        position=jnp.asarray(position),
-        velocity=jnp.asarray(state[3:6]),
-        attitude=jnp.asarray(state[6:10] / np.linalg.norm(state[6:10])),
-        body_rate=jnp.asarray(state[10:]),
-    )
-    return dataclasses.replace(scenario, start=start)
+    state = np.concatenate([position, state[3:6], state[6:10] / np.linalg.norm(state[6:10]), state[10:]])
+    return dataclasses.replace(scenario, start=jaxscp.BodyState.of(jnp.asarray(state)))

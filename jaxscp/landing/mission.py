@@ -32,6 +32,18 @@ class BodyState(eqx.Module):
     body_rate: Vector3 = eqx.field(converter=as_floats)
     """rad/s, body."""
 
+    @classmethod
+    def of(cls, vector: Float[Array, "13"]) -> "BodyState":
+        """From the 13 states in the order of ``Trajectory.state``.
+
+        Example:
+            >>> import jax.numpy as jnp, jaxscp
+            >>> state = jaxscp.at_rest([1.0, 2.0, 3.0])
+            >>> bool((jaxscp.BodyState.of(state.vector()).position == jnp.array([1.0, 2.0, 3.0])).all())
+            True
+        """
+        return cls(*jnp.split(jnp.asarray(vector), (3, 6, 10)))
+
     def vector(self) -> Float[Array, "13"]:
         """The 13 states in order."""
         return jnp.concatenate([self.position, self.velocity, self.attitude, self.body_rate])

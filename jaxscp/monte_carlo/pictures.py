@@ -152,7 +152,8 @@ def draw_failures(
             )
     ax.set_aspect("equal", adjustable="datalim")
     _label(ax, *(labels or (f"state {across}", f"state {up}")))
-    ax.legend(**LEGEND)
+    if drawn:
+        ax.legend(**LEGEND)
     return figure
 
 

@@ -51,7 +51,9 @@ def rank_correlations(sweep: Sweep, result: str, confidence: float = 0.95) -> li
         r = float(spearmanr(drawn, values[finite]).statistic)  # pyright: ignore[reportAttributeAccessIssue]
         half = score(confidence) * np.sqrt((1 + r**2 / 2) / (len(drawn) - 3))
         z = np.arctanh(np.clip(r, -1 + 1e-15, 1 - 1e-15))
-        found.append(Effect(name, r, float(np.tanh(z - half)), float(np.tanh(z + half))))
+        # Near one, rounding may put a limit on the wrong side of the value.
+        lower, upper = min(r, float(np.tanh(z - half))), max(r, float(np.tanh(z + half)))
+        found.append(Effect(name, r, lower, upper))
     return sorted(found, key=lambda effect: -abs(np.nan_to_num(effect.value)))
 
 

@@ -1,5 +1,7 @@
 """The best of many solutions."""
 
+from collections.abc import Sequence
+
 import jax
 import jax.numpy as jnp
 
@@ -7,25 +9,36 @@ from jaxscp.core.status import Status
 from jaxscp.solver.solution import Solution
 
 
-def best(solutions: Solution) -> Solution:
-    """The cheapest converged element of a batch; the first element if none converged: look at its status.
+def best(solutions: Solution | Sequence[Solution]) -> Solution:
+    """The cheapest converged solution; the first one if none converged: look at its status.
 
     ``argmin`` of the costs would choose an invalid element, whose cost is NaN.
 
     Args:
-        solutions: with one leading axis.
+        solutions: a batch with one leading axis, or a sequence of single solutions of one shape.
+
+    Raises:
+        ValueError: there is no solution, or a batch has another number of axes.
 
     Example:
-        >>> import jax, jax.numpy as jnp, jaxscp
+        >>> import equinox as eqx, jax, jax.numpy as jnp, jaxscp
         >>> scenario = jaxscp.scenarios.ascent_to_platform()
         >>> planner = jaxscp.Planner(nodes=10, method=jaxscp.PTR(max_iterations=3))
-        >>> masses = jnp.array([0.9, jnp.nan])
         >>> def plan(mass):
-        ...     import equinox as eqx
         ...     return planner(eqx.tree_at(lambda s: s.airframe.body.mass, scenario, mass))
-        >>> jaxscp.status_names(jaxscp.best(jax.vmap(plan)(masses)).status) != "invalid_input"
+        >>> plans = jax.vmap(plan)(jnp.array([0.9, jnp.nan]))
+        >>> jaxscp.status_names(jaxscp.best(plans).status) != "invalid_input"
         True
     """
+    if not isinstance(solutions, Solution):
+        axes = {solution.cost.ndim for solution in solutions}
+        if axes != {0}:
+            raise ValueError(
+                f"solutions: expected single solutions in a sequence, got {sorted(axes)} leading axes."
+            )
+        solutions = jax.tree.map(lambda *v: jnp.stack(v), *solutions)
+    if (axes := solutions.cost.ndim) != 1:
+        raise ValueError(f"solutions: expected one leading axis, got {axes}; put single solutions in a list.")
     cost = jnp.where(solutions.status == Status.converged, solutions.cost, jnp.inf)
     index = jnp.argmin(cost)
     return jax.tree.map(lambda v: v[index], solutions)

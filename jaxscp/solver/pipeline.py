@@ -79,8 +79,7 @@ class Pipeline(eqx.Module):
         _check_class(scenario)
         fixed = dataclasses.replace(self, nodes=plan.nodes)
         context = None if known is None else known.context
-        if not is_traced(elapsed) and not 0.0 <= float(elapsed) < float("inf"):
-            raise InvalidScenario(f"elapsed: expected seconds since the old plan's start, got {elapsed}.")
+        _check_elapsed(plan, elapsed)
         scenario = aot.with_arrays(scenario).measured()
         if is_traced(elapsed) or float(elapsed) > 0.0:
             plan, scenario, context = _rest(plan, context, scenario, elapsed)
@@ -180,6 +179,19 @@ class Pipeline(eqx.Module):
             return planner_cache.Maker(self, self.trace, load_planner)
         trace = functools.partial(self.trace, batch_size=batch_size, devices=devices)
         return planner_cache.Maker((self, batch_size, devices), trace, load_planner)
+
+
+def _check_elapsed(plan: Trajectory, elapsed: Scalar | float) -> None:
+    """Check the time since a plan's start, where it is known."""
+    if is_traced(elapsed):
+        return
+    if not 0.0 <= float(elapsed) < float("inf"):
+        raise InvalidScenario(f"elapsed: expected seconds since the old plan's start, got {elapsed}.")
+    if not is_traced(plan.time) and float(elapsed) > float(end := plan.time[-1]):
+        raise InvalidScenario(
+            f"elapsed: the old plan ended after {float(end):.4g} s, before elapsed = {float(elapsed):.4g} s. "
+            "Plan anew from the present state: planner(scenario)."
+        )
 
 
 @jax.jit

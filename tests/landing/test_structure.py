@@ -128,6 +128,13 @@ def test_a_time_before_the_plan_is_refused(elapsed):
         PLANNER.replan(path(), ROOM, elapsed)
 
 
+def test_a_time_after_the_end_of_the_plan_is_refused():
+    with pytest.raises(
+        InvalidScenario, match=r"elapsed: the old plan ended after 4 s, before elapsed = 4\.5 s"
+    ):
+        PLANNER.replan(path(), ROOM, 4.5)
+
+
 def test_a_stack_of_plans_needs_vmap():
     with pytest.raises(InvalidScenario, match=r"1 leading axes; use jax\.vmap"):
         PLANNER.replan(jax.tree.map(lambda v: jnp.stack([v, v]), path()), ROOM)

@@ -18,6 +18,10 @@ def run(case):
     return mc.Outcome({"success": good, "cost": case["mass"] + 0.1 * case["wind"]}, {"state": state})
 
 
+def rising(case):
+    return mc.Outcome({"success": True, "cost": case["mass"] ** 2})
+
+
 @pytest.fixture(scope="module")
 def result(tmp_path_factory):
     parameters = (
@@ -58,6 +62,16 @@ def test_the_tornado_has_the_strongest_on_top(result):
     axes = mc.draw_tornado(result, "cost").axes[0]
     assert [text.get_text() for text in axes.get_yticklabels()] == ["wind", "mass"]
     assert axes.patches[1].get_width() == mc.rank_correlations(result, "cost")[0].value
+
+
+def test_a_result_that_rises_with_a_parameter_has_a_tornado(tmp_path):
+    """Rounding put the upper limit below a correlation of one."""
+    parameters = (mc.Parameter("mass", mc.Uniform(0.8, 1.9)),)
+    study = mc.Study(rising, {"mass": 1.0}, parameters, mc.LatinHypercube(12, 2))
+    swept = mc.sweep(study, tmp_path / "s", chunk=12)
+    effect = mc.rank_correlations(swept, "cost")[0]
+    assert effect.lower <= effect.value == 1.0 <= effect.upper
+    assert mc.draw_tornado(swept, "cost").axes[0].patches[0].get_width() == 1.0
 
 
 def test_failures_are_drawn(result):

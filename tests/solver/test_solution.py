@@ -157,3 +157,21 @@ def test_a_context_of_another_kind_is_named(solution, tmp_path):
     odd = eqx.tree_at(lambda s: s.context, solution, print, is_leaf=lambda v: v is None)
     with pytest.raises(TypeError, match=r"solution\.context: a builtin_function_or_method cannot be saved"):
         odd.save(tmp_path / "odd.npz")
+
+
+def test_the_best_of_a_list_is_the_cheapest_that_converged(solution):
+    dear = eqx.tree_at(lambda s: s.cost, solution, solution.cost + 1.0)
+    failed = eqx.tree_at(
+        lambda s: (s.cost, s.status), solution, (solution.cost - 1.0, js.Status.insufficient_progress)
+    )
+    assert float(js.best([dear, failed, solution]).cost) == float(solution.cost)
+
+
+def test_the_best_says_what_it_expects(solution):
+    with pytest.raises(ValueError, match="put single solutions in a list"):
+        js.best(solution)
+    with pytest.raises(ValueError, match="expected single solutions in a sequence"):
+        js.best([])
+    stack = jax.tree.map(lambda v: v[None, None], solution)
+    with pytest.raises(ValueError, match="expected one leading axis, got 2"):
+        js.best(stack)
