@@ -33,6 +33,7 @@ import numpy as np  # noqa: E402
 import jaxscp  # noqa: E402
 from benchmarks.speed.timing import elapsed, median_seconds  # noqa: E402
 from jaxscp import LandingScenario, scenarios  # noqa: E402
+from jaxscp.landing.places import leg_of  # noqa: E402
 from jaxscp.landing.problem import landing_problem  # noqa: E402
 from jaxscp.landing.units import in_units, units_of  # noqa: E402
 from jaxscp.nlp.central_path import MU, Point  # noqa: E402
@@ -90,7 +91,7 @@ def direction(key, scenario: LandingScenario, leaf: Any) -> LandingScenario:
 
 def problem_of(scenario, solution):
     """The scenario's problem over scaled time, with the intervals allocated as in the solution."""
-    return over_scaled_time(landing_problem(scenario, solution.context), Continuous())
+    return over_scaled_time(landing_problem(scenario, leg_of(solution.context)), Continuous())
 
 
 def outputs(problem, z):

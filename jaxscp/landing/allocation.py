@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
-from jaxscp.core.types import Flag, Points
+from jaxscp.core.types import Points
 from jaxscp.landing.route import Route
 
 LANDING = 5  # intervals, the last ones, that lie in the landing cone
@@ -64,27 +64,6 @@ def usual_nodes(legs: int) -> int:
     """
     needed = INTERVALS_A_LEG * legs + 1
     return next((nodes for nodes in LADDER if nodes >= needed), needed)
-
-
-def fits(allocation: Int[Array, "intervals"], fresh: Int[Array, "intervals"]) -> Flag:
-    """Whether an allocation of another route may serve again, in place of a fresh one.
-
-    It does if it takes the same legs in order, from the first to the last. Each after the first must have a quarter of
-    the fresh one's intervals at least. Else the route is another one. Of the first leg, little may be left.
-
-    Example:
-        >>> import jax.numpy as jnp
-        >>> from jaxscp.landing.allocation import fits
-        >>> two, three = jnp.array([0, 0, 1, 1, 1]), jnp.array([0, 1, 1, 2, 2])
-        >>> bool(fits(two, jnp.array([0, 1, 1, 1, 1]))), bool(fits(two, three)), bool(fits(three, two))
-        (True, False, False)
-    """
-    steps = jnp.diff(allocation)
-    in_order = (
-        (allocation[0] == fresh[0]) & (allocation[-1] == fresh[-1]) & jnp.all((steps == 0) | (steps == 1))
-    )
-    number = lambda of: jnp.sum(of[:, None] == fresh[None], axis=0)  # noqa: E731
-    return in_order & jnp.all((fresh == fresh[0]) | (4 * number(allocation) >= number(fresh)))
 
 
 def route_positions(route: Route, allocation: Int[Array, "intervals"]) -> Points:

@@ -17,6 +17,7 @@ from jaxscp.corridor.polytopes import Corridor, unit_rows
 from jaxscp.dynamics import rotations
 from jaxscp.dynamics.airframes import Airframe
 from jaxscp.dynamics.rigid_body import RigidBody
+from jaxscp.landing.places import polytope_of
 from jaxscp.landing.route import Route, route_of
 
 
@@ -207,14 +208,13 @@ class Mission(eqx.Module):
         """The vehicle among the known obstacles; None where no points are known.
 
         Args:
-            context: leg of the route of every interval.
+            context: place of every interval (``landing.places``).
         """
         if self.near_obstacles is None:
             return None
         every = jnp.arange(self.corridor.count)
         ends = [self.corridor.same(every, every[k]) for k in (0, -1)]
-        polytope = self.with_unit_directions().route().polytope[context]
-        return Hull(self.airframe.radius, self.near_obstacles, (ends[0] | ends[1])[polytope])
+        return Hull(self.airframe.radius, self.near_obstacles, (ends[0] | ends[1])[polytope_of(context)])
 
     def with_unit_directions(self) -> "Mission":
         """The same mission with unit normals of the corridor and unit quaternions of both ends.

@@ -7,50 +7,55 @@ from jaxtyping import Array, Int
 
 from jaxscp.core.types import Scalar
 from jaxscp.landing.mission import Mission
+from jaxscp.landing.places import Places, gates_behind, polytope_of
 from jaxscp.landing.recovery import CLEARANCE
 
 LEAST_TIME = 0.05  # of the rest of a plan: a rest may be quicker than the least time of the whole
 PASSED_GATE = 1e-3  # times a passed gate's shape, a thousand times its size: it asks for nothing any more
 
 
-def present_leg(mission: Mission, leg: Int[Array, ""] | int) -> Int[Array, ""]:
-    """The leg that the start lies on: the planned one, or a later one that it has reached.
+def present_place(mission: Mission, places: Places, interval: Int[Array, ""] | int) -> Int[Array, ""]:
+    """The place of the start: the planned one, if its polytope holds the start, or else the nearest one that does.
 
-    Noise, and the walls that move out for a start outside, lead a vehicle out of its polytope and into the next one.
+    A vehicle may be early or late. Noise, and the walls that move out for a start outside, may lead it into the next
+    polytope. No gate is left out or flown again: those behind are the planned ones.
 
     Args:
         mission: its start is the present state.
-        leg: planned one, of its route.
+        places: of every interval of the plan.
+        interval: planned one.
 
     Example:
-        >>> import dataclasses, jax, jaxscp
+        >>> import dataclasses, jax, jax.numpy as jnp, jaxscp
         >>> from jaxscp.corridor import box, connect
         >>> jax.config.update("jax_enable_x64", True)
         >>> rooms = connect([box([0, 0, 0], [5, 2, 2]), box([4, 0, 0], [9, 2, 2])])
-        >>> ends = jaxscp.at_rest([1.0, 1.0, 1.0]), jaxscp.at_rest([8.0, 1.0, 1.0])
+        >>> mission = jaxscp.scenarios.through(rooms, jaxscp.at_rest([1.0, 1.0, 1.0]), jaxscp.at_rest([8.0, 1.0, 1.0]))
         >>> for x in (4.5, 5.1):
-        ...     start = jaxscp.at_rest([x, 1.0, 1.0])
-        ...     mission = dataclasses.replace(jaxscp.scenarios.through(rooms, *ends), start=start)
-        ...     print(present_leg(mission, 0))
+        ...     here = dataclasses.replace(mission, start=jaxscp.at_rest([x, 1.0, 1.0]))
+        ...     print(present_place(here, jnp.array([0, 0, 1, 1]), 1))
         0
         1
     """
+    if mission.start_fixed is not None:
+        return places[interval]
     frozen = jax.lax.stop_gradient(mission.with_unit_directions())
-    inside = frozen.corridor.clearance(frozen.start.position)[frozen.route().polytope]
-    left = (inside[:-1] < -CLEARANCE) & (inside[1:] > inside[:-1])
-    behind = left | (jnp.arange(left.shape[0]) < leg)
-    return jnp.sum(jnp.cumprod(behind.astype(int)))
+    inside = frozen.corridor.clearance(frozen.start.position)[polytope_of(places)] >= -CLEARANCE
+    holds = inside & (gates_behind(places) == gates_behind(places[interval]))
+    count = places.shape[0]
+    distance = jnp.where(holds, jnp.abs(jnp.arange(count) - interval), count)
+    return places[jnp.where(jnp.any(holds), jnp.argmin(distance), interval)]
 
 
-def without_passed(mission: Mission, leg: Int[Array, ""] | int, time: Scalar | float = jnp.inf) -> Mission:
-    """The mission whose start lies on a leg of its route; what lies before the leg asks for nothing any more.
+def without_passed(mission: Mission, place: Int[Array, ""] | int, time: Scalar | float = jnp.inf) -> Mission:
+    """The mission from a place of its route on; what lies before it asks for nothing any more.
 
-    Shapes stay, so that no program compiles again: the polytope of the leg stands in place of those before it. Their
+    Shapes stay, so that no program compiles again: the polytope of the place stands instead of those before it. Their
     joints lie at the start, so that their legs have no length; so do passed gates, so wide that every way passes them.
 
     Args:
         mission: its start is the present state.
-        leg: of its route; zero changes nothing.
+        place: of the start; zero changes nothing.
         time: s that the rest of a plan takes: much less is allowed.
 
     Example:
@@ -60,9 +65,8 @@ def without_passed(mission: Mission, leg: Int[Array, ""] | int, time: Scalar | f
         >>> [bool((rest.corridor.offsets[k] == rest.corridor.offsets[2]).all()) for k in range(4)]
         [True, True, True, False]
     """
-    frozen = jax.lax.stop_gradient(mission.with_unit_directions())
-    route, corridor, here = frozen.route(), mission.corridor, mission.start.position
-    polytope = route.polytope[leg]
+    place = jnp.asarray(place)
+    corridor, here, polytope = mission.corridor, mission.start.position, polytope_of(place)
     index = jnp.maximum(jnp.arange(corridor.count), polytope)
     behind = jnp.arange(corridor.joints.shape[0]) < polytope
     mission = eqx.tree_at(
@@ -77,7 +81,8 @@ def without_passed(mission: Mission, leg: Int[Array, ""] | int, time: Scalar | f
     )
     if mission.gates is None or mission.gates.centres.shape[0] == 0:
         return mission
-    passed, gates = route.to_gate < leg, mission.gates
+    gates = mission.gates
+    passed = jnp.arange(gates.centres.shape[0]) < gates_behind(place)
     return eqx.tree_at(
         lambda m: (m.gates.centres, m.gates.shapes),
         mission,

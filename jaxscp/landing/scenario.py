@@ -9,10 +9,11 @@ from jaxtyping import Array, Int
 
 from jaxscp.core import pytree_file
 from jaxscp.core.types import Flag, Scalar
-from jaxscp.landing.allocation import allocate, fits, usual_nodes
+from jaxscp.landing.allocation import allocate, usual_nodes
 from jaxscp.landing.guess import initial_guess
 from jaxscp.landing.mission import PARTS, Mission
-from jaxscp.landing.passed import present_leg, without_passed
+from jaxscp.landing.passed import present_place, without_passed
+from jaxscp.landing.places import Places, fits, last_place, leg_of, places_on
 from jaxscp.landing.problem import landing_problem
 from jaxscp.landing.recovery import RECOVERY, starts_outside
 from jaxscp.landing.structure import check_parts
@@ -24,9 +25,6 @@ from jaxscp.problem.form import Continuous, Form
 from jaxscp.problem.node_values import node_times
 from jaxscp.problem.problem import OptimalControlProblem
 from jaxscp.problem.trajectory import Trajectory
-
-Allocation = Int[Array, "intervals"]
-"""Polytope of every interval."""
 
 
 class LandingScenario(Mission):
@@ -107,12 +105,16 @@ class LandingScenario(Mission):
         return starts_outside(self.with_unit_directions())
 
     def without_passed(
-        self, context: Allocation, interval: Int[Array, ""], time: Scalar
-    ) -> tuple["LandingScenario", Allocation]:
-        """The rest of the mission from an interval of a plan on, ``time`` s long, and the allocation for it."""
-        leg = present_leg(self, context[interval])
-        rest = without_passed(self, leg, time)
-        return rest, jnp.maximum(context, leg)  # pyright: ignore[reportReturnType]
+        self, context: Places, interval: Int[Array, ""], time: Scalar
+    ) -> tuple["LandingScenario", Places]:
+        """The rest of the mission from an interval of a plan on, ``time`` s long, and the plan's places for it.
+
+        All of it, where the plan's route ends elsewhere: other polytopes or gates are asked for than the plan knows.
+        """
+        known = context[-1] == last_place(jax.lax.stop_gradient(self.with_unit_directions()).route())
+        place = jnp.where(known, present_place(self, context, interval), 0)
+        rest = without_passed(self, place, time)
+        return rest, jnp.maximum(context, place)  # pyright: ignore[reportReturnType]
 
     def in_solver_units(self, form: Form) -> tuple["LandingScenario", Units | None]:
         """The scenario in units taken from it, and the units.
@@ -129,23 +131,23 @@ class LandingScenario(Mission):
         self,
         nodes: int,
         form: Form = Continuous(),  # noqa: B008
-        context: Allocation | None = None,
-    ) -> tuple[OptimalControlProblem, Allocation]:
-        """The optimal control problem, and the leg of the route of every interval.
+        context: Places | None = None,
+    ) -> tuple[OptimalControlProblem, Places]:
+        """The optimal control problem, and the place of every interval: its polytope, and the gates behind it.
 
         Args:
             nodes: N.
             form: statement that the method solves; the default method's by default.
-            context: allocation to use again, in a re-plan; another one is returned if it does not fit the corridor.
+            context: places to use again, in a re-plan; others are returned if they do not fit the route.
         """
-        frozen = jax.lax.stop_gradient(self)  # the allocation is no differentiable function
-        fresh = allocate(frozen.with_unit_directions().route(), nodes)
+        route = jax.lax.stop_gradient(self).with_unit_directions().route()  # no differentiable function
+        fresh = places_on(route, allocate(route, nodes))
         context = fresh if context is None else jnp.where(fits(context, fresh), context, fresh)
-        return landing_problem(self, context, form), context
+        return landing_problem(self, leg_of(context), form), context
 
-    def guess(self, problem: OptimalControlProblem, context: Allocation) -> Trajectory:
+    def guess(self, problem: OptimalControlProblem, context: Places) -> Trajectory:
         """A smooth trajectory through the corridor, without derivatives."""
-        guess = initial_guess(jax.lax.stop_gradient(self), context)
+        guess = initial_guess(jax.lax.stop_gradient(self), leg_of(context))
         return Trajectory(node_times(guess.dilation), guess.states, guess.controls, guess.dilation)
 
     def warm_guess(self, plan: Trajectory) -> Trajectory:

@@ -41,7 +41,7 @@ class OpenLoop(eqx.Module):
 
     Args:
         plan: gives controls over time.
-        context: of the solution; for a landing, the leg of the route of every interval.
+        context: of the solution; for a landing, the place of every interval (``landing.places``).
         allowed: names of results, and their greatest values that count as a success.
     """
 

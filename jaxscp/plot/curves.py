@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from jaxscp.corridor.polytopes import Corridor
 from jaxscp.landing.mission import Ellipsoids
+from jaxscp.landing.places import leg_of, polytope_of
 from jaxscp.landing.problem import landing_problem
 from jaxscp.landing.scenario import LandingScenario
 from jaxscp.problem.form import Continuous
@@ -45,13 +46,14 @@ def integrated(scenario: LandingScenario, solution: Solution, samples: int = SAM
         )
     path = _rollout(scenario, solution, samples)
     flat = jax.tree.map(lambda v: np.asarray(v).reshape(-1, *v.shape[2:]), path)
-    return Curves(flat.time, flat.state, flat.control, np.repeat(np.asarray(solution.context), samples))
+    cell = np.asarray(polytope_of(solution.context))
+    return Curves(flat.time, flat.state, flat.control, np.repeat(cell, samples))
 
 
 def planned(solution: Solution) -> Curves:
     """The plan at its nodes."""
     path = solution.trajectory
-    cell = np.asarray(solution.context)
+    cell = np.asarray(polytope_of(solution.context))
     return Curves(
         np.asarray(path.time), np.asarray(path.state), np.asarray(path.control), np.append(cell, cell[-1])
     )
@@ -60,7 +62,7 @@ def planned(solution: Solution) -> Curves:
 @eqx.filter_jit
 def _rollout(scenario: LandingScenario, solution: Solution, samples: int) -> Rollout:
     return rollout(
-        over_scaled_time(landing_problem(scenario, solution.context), Continuous()),
+        over_scaled_time(landing_problem(scenario, leg_of(solution.context)), Continuous()),
         solution.trajectory,
         samples,
     )

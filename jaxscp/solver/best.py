@@ -30,15 +30,18 @@ def best(solutions: Solution | Sequence[Solution]) -> Solution:
         >>> jaxscp.status_names(jaxscp.best(plans).status) != "invalid_input"
         True
     """
-    if not isinstance(solutions, Solution):
-        axes = {solution.cost.ndim for solution in solutions}
-        if axes != {0}:
-            raise ValueError(
-                f"solutions: expected single solutions in a sequence, got {sorted(axes)} leading axes."
-            )
-        solutions = jax.tree.map(lambda *v: jnp.stack(v), *solutions)
-    if (axes := solutions.cost.ndim) != 1:
+    batch = solutions if isinstance(solutions, Solution) else _stacked(solutions)
+    if (axes := batch.cost.ndim) != 1:
         raise ValueError(f"solutions: expected one leading axis, got {axes}; put single solutions in a list.")
-    cost = jnp.where(solutions.status == Status.converged, solutions.cost, jnp.inf)
+    cost = jnp.where(batch.status == Status.converged, batch.cost, jnp.inf)
     index = jnp.argmin(cost)
-    return jax.tree.map(lambda v: v[index], solutions)
+    return jax.tree.map(lambda v: v[index], batch)
+
+
+def _stacked(solutions: Sequence[Solution]) -> Solution:
+    axes = {solution.cost.ndim for solution in solutions}
+    if axes != {0}:
+        raise ValueError(
+            f"solutions: expected single solutions in a sequence, got {sorted(axes)} leading axes."
+        )
+    return jax.tree.map(lambda *v: jnp.stack(v), *solutions)

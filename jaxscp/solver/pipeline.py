@@ -31,6 +31,7 @@ from jaxscp.scp.method import Method, MethodResult, iterate
 from jaxscp.solver.conclude import Reported, conclude
 from jaxscp.solver.fallback import better
 from jaxscp.solver.load import load_planner
+from jaxscp.solver.rest import checked_seconds, rest_of
 from jaxscp.solver.scenario import Scenario
 from jaxscp.solver.solution import Solution
 
@@ -79,10 +80,11 @@ class Pipeline(eqx.Module):
         _check_class(scenario)
         fixed = dataclasses.replace(self, nodes=plan.nodes)
         context = None if known is None else known.context
-        _check_elapsed(plan, elapsed)
         scenario = aot.with_arrays(scenario).measured()
-        if is_traced(elapsed) or float(elapsed) > 0.0:
-            plan, scenario, context = _rest(plan, context, scenario, elapsed)
+        seconds = elapsed if is_traced(elapsed) else checked_seconds(plan, elapsed)
+        if is_traced(seconds) or seconds > 0.0:
+            fixed._check_shapes(scenario)
+            plan, scenario, context = rest_of(plan, context, scenario, seconds)
         found = fixed._from_plan(plan.with_dynamics(None), context, scenario)
         return better(found, functools.partial(fixed._from_guess, scenario))
 
@@ -150,10 +152,17 @@ class Pipeline(eqx.Module):
 
     def check(self, scenario: Scenario) -> None:
         """Check a scenario: its parts and shapes, and its values where all are known."""
-        _check_class(scenario)
         if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(scenario)):
-            shape_of = lambda v: jax.ShapeDtypeStruct(v.shape, v.dtype) if hasattr(v, "dtype") else v  # noqa: E731
-            scenario = jax.tree.map(shape_of, scenario)
+            self._check_shapes(scenario)
+        else:
+            _check_class(scenario)
+            scenario.check(self.nodes_for(scenario))
+
+    def _check_shapes(self, scenario: Scenario) -> None:
+        """Check a scenario's parts and shapes, not its values."""
+        _check_class(scenario)
+        shape_of = lambda v: jax.ShapeDtypeStruct(v.shape, v.dtype) if hasattr(v, "dtype") else v  # noqa: E731
+        scenario = jax.tree.map(shape_of, scenario)
         scenario.check(self.nodes_for(scenario))
 
     def _check_plan(self, plan: Any) -> None:
@@ -179,35 +188,6 @@ class Pipeline(eqx.Module):
             return planner_cache.Maker(self, self.trace, load_planner)
         trace = functools.partial(self.trace, batch_size=batch_size, devices=devices)
         return planner_cache.Maker((self, batch_size, devices), trace, load_planner)
-
-
-def _check_elapsed(plan: Trajectory, elapsed: Scalar | float) -> None:
-    """Check the time since a plan's start, where it is known."""
-    if is_traced(elapsed):
-        return
-    if not 0.0 <= float(elapsed) < float("inf"):
-        raise InvalidScenario(f"elapsed: expected seconds since the old plan's start, got {elapsed}.")
-    if not is_traced(plan.time) and float(elapsed) > float(end := plan.time[-1]):
-        raise InvalidScenario(
-            f"elapsed: the old plan ended after {float(end):.4g} s, before elapsed = {float(elapsed):.4g} s. "
-            "Plan anew from the present state: planner(scenario)."
-        )
-
-
-@jax.jit
-def _rest(plan: Trajectory, context: Any, scenario: Any, elapsed: Scalar | float):
-    """The rest of a plan, of its scenario and of its context after a time."""
-    rest = plan.after(elapsed)
-    if context is not None:
-        first, count = plan.scaled_time(elapsed), plan.nodes - 1
-        interval_of = lambda tau: jnp.minimum(jnp.floor(tau * count), count - 1).astype(int)  # noqa: E731
-        scenario, context = scenario.without_passed(context, interval_of(first), rest.time[-1])
-        # Old intervals in which the new ones lie: those are shorter, so that none of the old ones is left out. The
-        # first one holds the start.
-        middles = first + (1.0 - first) * (jnp.arange(count, dtype=first.dtype) + 0.5) / count
-        middles = middles.at[0].set(first)
-        context = jax.tree.map(lambda v: v[interval_of(middles)], context)
-    return rest, scenario, context
 
 
 def _inputs(pipeline: Pipeline, scenario: Scenario, context: Any = None, plan: Trajectory | None = None):

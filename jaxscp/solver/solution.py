@@ -49,7 +49,7 @@ class Solution(eqx.Module):
     z: Float[Array, "nodes variables"]
     """Node variables, in the user's units; of a problem with a scale, relative to it."""
     context: Any
-    """Data that the scenario built its problem with; for a landing, the leg of the route of every interval."""
+    """Data that the scenario built its problem with; of a landing, each interval's place (``landing.places``)."""
     fell_back: Flag
     """Whether a re-plan found nothing from the earlier plan, so that this one began at the scenario's own guess."""
     recovers: Flag

@@ -128,6 +128,12 @@ def test_a_time_before_the_plan_is_refused(elapsed):
         PLANNER.replan(path(), ROOM, elapsed)
 
 
+def test_a_scenario_in_flight_is_checked_before_its_rest_is_taken():
+    broken = eqx.tree_at(lambda s: s.corridor, ROOM, None)
+    with pytest.raises(InvalidScenario, match="corridor: expected a part of class Corridor, got None"):
+        PLANNER.replan(path(), broken, 0.5)
+
+
 def test_a_time_after_the_end_of_the_plan_is_refused():
     with pytest.raises(
         InvalidScenario, match=r"elapsed: the old plan ended after 4 s, before elapsed = 4\.5 s"

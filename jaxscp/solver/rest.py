@@ -1,0 +1,44 @@
+"""What is left of a plan, of its scenario and of its context, a time after the plan's start."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from jaxscp.backends.xla import is_traced
+from jaxscp.core.types import Scalar
+from jaxscp.problem.errors import InvalidScenario
+from jaxscp.problem.trajectory import Trajectory
+
+
+def checked_seconds(plan: Trajectory, elapsed: Any) -> float:
+    """A known time since a plan's start, checked."""
+    try:
+        seconds = float(elapsed)
+    except (TypeError, ValueError):
+        seconds = float("nan")
+    if not 0.0 <= seconds < float("inf"):
+        raise InvalidScenario(f"elapsed: expected seconds since the old plan's start, got {elapsed}.")
+    if not is_traced(plan.time) and seconds > float(end := plan.time[-1]):
+        raise InvalidScenario(
+            f"elapsed: the old plan ended after {float(end):.4g} s, before elapsed = {seconds:.4g} s. "
+            "Plan anew from the present state: planner(scenario)."
+        )
+    return seconds
+
+
+@jax.jit
+def rest_of(plan: Trajectory, context: Any, scenario: Any, elapsed: Scalar | float):
+    """The rest of a plan, of its scenario and of its context after a time; NaN for a time outside of the plan."""
+    elapsed = jnp.where((elapsed >= 0.0) & (elapsed <= plan.time[-1]), elapsed, jnp.nan)
+    rest = plan.after(elapsed)
+    if context is not None:
+        first, count = plan.scaled_time(elapsed), plan.nodes - 1
+        interval_of = lambda tau: jnp.minimum(jnp.floor(tau * count), count - 1).astype(int)  # noqa: E731
+        scenario, context = scenario.without_passed(context, interval_of(first), rest.time[-1])
+        # Old intervals in which the new ones lie: those are shorter, so that none of the old ones is left out. The
+        # first one holds the start.
+        middles = first + (1.0 - first) * (jnp.arange(count, dtype=first.dtype) + 0.5) / count
+        middles = middles.at[0].set(first)
+        context = jax.tree.map(lambda v: v[interval_of(middles)], context)
+    return rest, scenario, context
