@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import jaxscp
+from jaxscp.corridor import box, connect
 from tests.support.rooms import put, room
 
 SAME_COST = 5e-3  # relative; another start may lead to another local optimum of nearly the same cost
@@ -172,7 +173,9 @@ def test_a_replan_near_a_gate_passes_it():
     state = np.asarray(plan.trajectory.at(jnp.array([3.36])).state[0])
     again = PLANNER.replan(plan, starting_at(scenario, state), 3.36)
     assert jaxscp.status_names(again.status) == "converged"
-    away = np.linalg.norm(np.asarray(again.trajectory.sample(400.0).state)[:, :3] - [4.8, 1.8, 1.0], axis=1)
+    away = np.linalg.norm(
+        np.asarray(again.trajectory.sample(rate=400.0).state)[:, :3] - [4.8, 1.8, 1.0], axis=1
+    )
     assert away.min() < 0.101  # m: the gate's radius, and a millimetre
 
 
