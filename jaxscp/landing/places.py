@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Int
 
 from jaxscp.core.types import Flag
+from jaxscp.corridor.polytopes import Corridor
 from jaxscp.landing.route import Route
 
 GATE = 2**16  # a place is the polytope's number, plus so much for each gate behind it
@@ -49,10 +50,12 @@ def leg_of(place: Int[Array, "*any"]) -> Int[Array, "*any"]:
     return polytope_of(place) + gates_behind(place)
 
 
-def last_place(route: Route) -> Int[Array, ""]:
-    """The place of the goal."""
-    leg = route.polytope.shape[0] - 1 - route.padding
-    return route.polytope[leg] + GATE * route.to_gate.shape[0]
+def ends_route(place: Int[Array, ""], corridor: Corridor, gates: int) -> Flag:
+    """Whether a route may end at a place: behind all gates, in the last polytope or in one that padding repeats."""
+    last = corridor.count - 1
+    polytope = jnp.minimum(polytope_of(place), last)
+    inside = (polytope_of(place) <= last) & corridor.same(polytope, jnp.asarray(last))
+    return inside & (gates_behind(place) == gates)
 
 
 def fits(places: Places, fresh: Places) -> Flag:

@@ -13,7 +13,7 @@ from jaxscp.landing.allocation import allocate, usual_nodes
 from jaxscp.landing.guess import initial_guess
 from jaxscp.landing.mission import PARTS, Mission
 from jaxscp.landing.passed import present_place, without_passed
-from jaxscp.landing.places import Places, fits, last_place, leg_of, places_on
+from jaxscp.landing.places import Places, ends_route, fits, leg_of, places_on
 from jaxscp.landing.problem import landing_problem
 from jaxscp.landing.recovery import RECOVERY, starts_outside
 from jaxscp.landing.structure import check_parts
@@ -111,7 +111,8 @@ class LandingScenario(Mission):
 
         All of it, where the plan's route ends elsewhere: other polytopes or gates are asked for than the plan knows.
         """
-        known = context[-1] == last_place(jax.lax.stop_gradient(self.with_unit_directions()).route())
+        gates = 0 if self.gates is None else self.gates.centres.shape[0]
+        known = ends_route(context[-1], self.corridor, gates)
         place = jnp.where(known, present_place(self, context, interval), 0)
         rest = without_passed(self, place, time)
         return rest, jnp.maximum(context, place)  # pyright: ignore[reportReturnType]

@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxscp
-from jaxscp.corridor import box, connect
+from jaxscp.corridor import box, connect, pad
 from jaxscp.landing.allocation import allocate, gate_nodes
 from jaxscp.landing.passed import LEAST_TIME, present_place, without_passed
-from jaxscp.landing.places import GATE, fits, gates_behind, last_place, leg_of, places_on, polytope_of
+from jaxscp.landing.places import GATE, ends_route, fits, gates_behind, leg_of, places_on, polytope_of
 from tests.support.rooms import put
 
 BOXES = [box([0, 0, 0], [4, 2, 3]), box([3, 0, 0], [8, 2, 3]), box([7, 0, 0], [12, 2, 3])]
@@ -38,7 +38,7 @@ def test_places_are_polytopes_and_gates_in_the_order_of_the_legs():
         (0, 0), (0, 1), (1, 1), (1, 2), (1, 3), (2, 3)
     ]  # fmt: skip
     np.testing.assert_array_equal(leg_of(found), legs)
-    assert int(found[-1]) == int(last_place(WHOLE.route()))
+    assert bool(ends_route(found[-1], WHOLE.corridor, 3))
 
 
 def test_the_start_lies_in_the_first_polytope_again():
@@ -110,6 +110,18 @@ def test_a_gate_ahead_is_asked_for_though_the_order_of_joint_and_gate_changes():
     rest, _ = here.without_passed(plan, jnp.argmax(plan == 1), jnp.array(2.0))
     np.testing.assert_array_equal(rest.gates.shapes, gated.gates.shapes)
     np.testing.assert_array_equal(rest.gates.centres, gated.gates.centres)
+
+
+def test_a_padded_corridor_whose_goal_moved_has_its_passed_polytopes():
+    """Its last legs lead to the old goal and back: they count as legs again."""
+    plain = dataclasses.replace(WHOLE, gates=None)
+    padded = dataclasses.replace(plain, corridor=pad(plain.corridor, plain.goal.position, polytopes=5))
+    moved = put(padded, lambda s: s.goal.position, [11.0, 1.2, 1.0])
+    for plan in (places(plain), places(padded), places(moved)):
+        for asked in (padded, moved):
+            rest, _ = at(8.2, mission=asked).without_passed(plan, jnp.argmax(plan == 2), jnp.array(2.0))
+            np.testing.assert_array_equal(rest.corridor.joints[:2], [[8.2, 1.0, 1.5]] * 2)
+            jaxscp.validate(rest, nodes=30)
 
 
 def test_a_scenario_of_another_route_is_whole():
