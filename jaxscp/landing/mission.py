@@ -43,7 +43,7 @@ class BodyState(eqx.Module):
             >>> bool((jaxscp.BodyState.of(state.vector()).position == jnp.array([1.0, 2.0, 3.0])).all())
             True
         """
-        return cls(*jnp.split(jnp.asarray(vector), (3, 6, 10)))
+        return cls(vector[:3], vector[3:6], vector[6:10], vector[10:])
 
     def vector(self) -> Float[Array, "13"]:
         """The 13 states in order."""

@@ -8,7 +8,7 @@ from jaxtyping import Array, Int
 from jaxscp.core.types import Scalar
 from jaxscp.landing.mission import Mission
 from jaxscp.landing.places import Places, gates_behind, polytope_of
-from jaxscp.landing.recovery import CLEARANCE
+from jaxscp.landing.recovery import wall_excess
 
 LEAST_TIME = 0.05  # of the rest of a plan: a rest may be quicker than the least time of the whole
 PASSED_GATE = 1e-3  # times a passed gate's shape, a thousand times its size: it asks for nothing any more
@@ -37,11 +37,10 @@ def present_place(mission: Mission, places: Places, interval: Int[Array, ""] | i
         0
         1
     """
-    if mission.start_fixed is not None:
-        return places[interval]
     frozen = jax.lax.stop_gradient(mission.with_unit_directions())
-    inside = frozen.corridor.clearance(frozen.start.position)[polytope_of(places)] >= -CLEARANCE
-    holds = inside & (gates_behind(places) == gates_behind(places[interval]))
+    holds = (wall_excess(frozen, polytope_of(places)) == 0.0) & (
+        gates_behind(places) == gates_behind(places[interval])
+    )
     count = places.shape[0]
     distance = jnp.where(holds, jnp.abs(jnp.arange(count) - interval), count)
     return places[jnp.where(jnp.any(holds), jnp.argmin(distance), interval)]

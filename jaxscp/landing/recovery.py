@@ -34,7 +34,7 @@ def wall_relief(mission: Mission, polytope: Int[Array, "nodes"]) -> Float[Array,
         polytope: of every node.
     """
     corridor, start = mission.corridor, mission.start
-    excess = _wall_excess(mission, polytope[0])
+    excess = wall_excess(mission, polytope[0])
     beyond = corridor.normals @ start.position - corridor.offsets
     outwards = jnp.maximum(corridor.normals @ start.velocity, 0.0)
     way = outwards**2 / (2.0 * BRAKING * jnp.linalg.norm(mission.airframe.body.gravity))
@@ -68,7 +68,7 @@ def starts_outside(mission: Mission) -> Flag:
     Args:
         mission: with unit directions.
     """
-    excess = [_wall_excess(mission, 0), *_limit_excess(mission).values()]
+    excess = [wall_excess(mission, 0), *_limit_excess(mission).values()]
     if mission.keep_out is not None:
         excess.append(jnp.max(_zone_excess(mission, mission.keep_out), initial=0.0))
     return jnp.any(jnp.stack(excess) > 0.0)
@@ -77,12 +77,13 @@ def starts_outside(mission: Mission) -> Flag:
 # A start with free components is no measured state: it breaks nothing.
 
 
-def _wall_excess(mission: Mission, polytope: Int[Array, ""] | int) -> Scalar:
-    """Distance in m by which the start lies outside of a polytope."""
+def wall_excess(mission: Mission, polytope: Int[Array, "*any"] | int) -> Float[Array, "*any"]:
+    """Distance in m by which the start lies outside of each given polytope; for a mission with unit normals."""
     if mission.start_fixed is not None:
-        return jnp.zeros_like(mission.start.position[0])
+        return jnp.zeros(jnp.shape(polytope), mission.start.position.dtype)
     corridor = mission.corridor
-    beyond = jnp.max(corridor.normals[polytope] @ mission.start.position - corridor.offsets[polytope])
+    heights = corridor.normals[polytope] @ mission.start.position - corridor.offsets[polytope]
+    beyond = jnp.max(heights, axis=-1)
     return jnp.where(beyond > CLEARANCE, beyond, 0.0)
 
 

@@ -140,7 +140,7 @@ class Units(eqx.Module):
         return y
 
     def _state(self, state: Float[Array, "13"]) -> Float[Array, "13"]:
-        return self._body_state(BodyState(state[:3], state[3:6], state[6:10], state[10:])).vector()
+        return self._body_state(BodyState.of(state)).vector()
 
     def _position(self, points: Float[Array, "*b 3"]) -> Float[Array, "*b 3"]:
         return (points - self.origin) @ self.matrix.T / self.length

@@ -82,7 +82,8 @@ class Planner(eqx.Module):
                 before that lie behind: they ask for nothing any more.
 
         Raises:
-            InvalidScenario: as in a call; or if the trajectory has another number of nodes, states or controls.
+            InvalidScenario: as in a call; or if the trajectory has another number of nodes, states or controls, or
+                ``elapsed`` lies outside of its time.
         """
         return self.pipeline.again(solution, scenario, elapsed)
 

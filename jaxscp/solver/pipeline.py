@@ -81,8 +81,9 @@ class Pipeline(eqx.Module):
         fixed = dataclasses.replace(self, nodes=plan.nodes)
         context = None if known is None else known.context
         scenario = aot.with_arrays(scenario).measured()
-        seconds = elapsed if is_traced(elapsed) else checked_seconds(plan, elapsed)
-        if is_traced(seconds) or seconds > 0.0:
+        traced = is_traced(elapsed)
+        seconds = elapsed if traced else checked_seconds(plan, elapsed)
+        if traced or seconds > 0.0:
             fixed._check_shapes(scenario)
             plan, scenario, context = rest_of(plan, context, scenario, seconds)
         found = fixed._from_plan(plan.with_dynamics(None), context, scenario)

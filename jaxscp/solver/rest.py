@@ -1,11 +1,12 @@
-"""What is left of a plan, of its scenario and of its context, a time after the plan's start."""
+"""Cuts off the flown part of a plan, of its scenario and of its context."""
 
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
 
-from jaxscp.backends.xla import is_traced
 from jaxscp.core.types import Scalar
 from jaxscp.problem.errors import InvalidScenario
 from jaxscp.problem.trajectory import Trajectory
@@ -19,9 +20,9 @@ def checked_seconds(plan: Trajectory, elapsed: Any) -> float:
         seconds = float("nan")
     if not 0.0 <= seconds < float("inf"):
         raise InvalidScenario(f"elapsed: expected seconds since the old plan's start, got {elapsed}.")
-    if not is_traced(plan.time) and seconds > float(end := plan.time[-1]):
+    if not isinstance(plan.time, Tracer) and seconds > (end := float(np.asarray(plan.time)[-1])):
         raise InvalidScenario(
-            f"elapsed: the old plan ended after {float(end):.4g} s, before elapsed = {seconds:.4g} s. "
+            f"elapsed: the old plan ended after {end:.4g} s, before elapsed = {seconds:.4g} s. "
             "Plan anew from the present state: planner(scenario)."
         )
     return seconds

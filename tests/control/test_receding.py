@@ -124,7 +124,7 @@ def test_a_goal_that_moves_is_reached():
     for number in (1, 2):
 
         def scenario(state, goal=goals[number]):
-            start = jaxscp.BodyState(state[:3], state[3:6], state[6:10], state[10:])
+            start = jaxscp.BodyState.of(state)
             return jaxscp.scenarios.through(room().corridor, start, jaxscp.at_rest(goal))
 
         horizon.update(0.5 * number, scenario)

@@ -134,14 +134,14 @@ def test_a_scenario_of_another_route_is_whole():
             np.testing.assert_array_equal(a, b)
 
 
-def test_an_allocation_serves_again_for_the_same_rest_alone():
+def test_places_serve_again_for_the_same_rest_alone():
     rest, whole = places(REST), places(WHOLE)
     assert bool(fits(rest, rest))
     assert not bool(fits(whole, rest))
     assert not bool(fits(rest, whole))
 
 
-def test_the_leg_may_be_traced():
+def test_the_place_may_be_traced():
     traced = jax.jit(without_passed)(put(WHOLE, lambda s: s.start.position, HERE), jnp.array(PLACE))
     for a, b in zip(jax.tree.leaves(traced), jax.tree.leaves(REST), strict=True):
         np.testing.assert_array_equal(a, b)
