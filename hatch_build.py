@@ -114,9 +114,7 @@ def units_of_any(root: Path, stem: Path, scratch: Path) -> list[Unit]:
 
 def compile_unit(compiler: str, root: Path, unit: Unit) -> None:
     """Make an object file."""
-    headers = Path(importlib.util.find_spec("jaxlib").submodule_search_locations[0]) / "include"
-    folders = f"-I{root / SHARED}", "-isystem", headers
-    run(compiler, *FLAGS, *unit.flags, *folders, "-c", unit.source, "-o", unit.output)
+    run(compiler, *FLAGS, *unit.flags, f"-I{root / SHARED}", "-c", unit.source, "-o", unit.output)
 
 
 def digest_of_sources(root: Path) -> Callable[[Path], str]:

@@ -5,6 +5,9 @@ import re
 import shutil
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
+import numpy as np
 import pytest
 
 from jaxscp.backends import cuda, libraries
@@ -29,7 +32,7 @@ def test_the_build_hook_compiles_every_library_and_no_other():
 
 @pytest.mark.parametrize("library", libraries.EVERY, ids=lambda library: library.stem.name)
 def test_ffi_targets_are_the_symbols_of_the_c_plus_plus(library):
-    symbols = re.findall(r"XLA_FFI_DEFINE_HANDLER_SYMBOL\(\s*(\w+)", sources(library))
+    symbols = re.findall(r"JAXSCP_HANDLER\((\w+)", sources(library))
     assert sorted(symbols) == sorted(filter(None, (*library.targets, library.on_gpu)))
 
 
@@ -94,3 +97,19 @@ def test_a_change_of_a_shared_header_changes_the_digest(tmp_path):
 
 def test_a_library_from_before_there_was_a_digest_has_none():
     assert libraries.compiled_from(ctypes.CDLL(None)) == ""
+
+
+def test_a_call_of_the_c_plus_plus_says_what_it_lacks():
+    assert libraries.GRAM.available()
+    assert libraries.EIGEN.available()
+    matrix = jax.ShapeDtypeStruct((2, 2), jnp.float64)
+    eigen = jax.ffi.ffi_call(libraries.EIGEN.targets[1], (jax.ShapeDtypeStruct((2,), jnp.float64), matrix))
+    np.testing.assert_allclose(eigen(jnp.diag(jnp.array([1.0, 2.0])))[0], [1.0, 2.0])
+    with pytest.raises(jax.errors.JaxRuntimeError, match="another type of numbers"):
+        jax.block_until_ready(eigen(jnp.eye(2, dtype=jnp.float32)))
+    with pytest.raises(jax.errors.JaxRuntimeError, match="lacks an axis"):
+        jax.block_until_ready(eigen(jnp.array(1.0)))
+    with pytest.raises(jax.errors.JaxRuntimeError, match="lacks an argument"):
+        jax.block_until_ready(eigen())
+    with pytest.raises(jax.errors.JaxRuntimeError, match="lacks the attribute rank_one"):
+        jax.block_until_ready(jax.ffi.ffi_call(libraries.GRAM.targets[0], (matrix, matrix))())

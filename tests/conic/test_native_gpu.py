@@ -56,20 +56,14 @@ TIERS = {"norm cost": [], **{name: [pytest.mark.nightly] for name in BY_NIGHT}} 
 
 def emulated(program, folder: Path, *macros: str) -> ctypes.CDLL:
     """Library of the emulated kernel for a program's sizes, with a handler for CPUs."""
-    headers = jax.ffi.include_dir()
     library = folder / "kernel.so"
     source = Path(__file__).parents[1] / "support/gpu_on_a_cpu.cc"
     flags = ["-std=c++20", "-O1", "-fno-math-errno", "-fPIC", "-w", "-shared"]
     # Otherwise kernels of all sizes would share one block's static variables in the process.
     flags += ["-fno-gnu-unique"]
     defined = [f"-DJAXSCP_SIZES={gpu.sizes_of(program)}", f"-DJAXSCP_THREADS={THREADS}", *macros]
-    found = [
-        "-isystem",
-        headers,
-        f"-I{Path(native.__file__).parent}",
-        f"-I{libraries.HEADERS}",
-        f"-I{source.parent}",
-    ]
+    folders = Path(native.__file__).parent, libraries.HEADERS, source.parent
+    found = [f"-I{folder}" for folder in folders]
     subprocess.run([COMPILER, *flags, *defined, *found, str(source), "-o", str(library)], check=True)
     return ctypes.CDLL(str(library))
 

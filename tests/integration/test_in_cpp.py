@@ -37,7 +37,7 @@ def test_entries_of_a_rigid_body_are_the_structure_of_its_equations():
 
 def test_ffi_names_of_python_are_the_symbols_of_the_c_plus_plus():
     symbols = {
-        name: set(re.findall(r"XLA_FFI_DEFINE_HANDLER_SYMBOL\(\s*(\w+)", (SOURCES / name).read_text()))
+        name: set(re.findall(r"JAXSCP_HANDLER\((\w+)", (SOURCES / name).read_text()))
         for name in ("handler.cc", "gpu_handler.cc")
     }
     assert libraries.INTEGRATION == native.LIBRARY
@@ -47,7 +47,7 @@ def test_ffi_names_of_python_are_the_symbols_of_the_c_plus_plus():
 
 def test_ffi_attributes_of_python_are_those_of_the_c_plus_plus():
     def attributes(name):
-        return set(re.findall(r"\.Attr<.*>\(\"(\w+)\"\)", (SOURCES / name).read_text()))
+        return set(re.findall(r"call\.(?:number\S*|text)\(\"(\w+)\"\)", (SOURCES / name).read_text()))
 
     assert attributes("handler.cc") == {"integers", "reals"}
     assert attributes("../../backends/native/launch.h") == {

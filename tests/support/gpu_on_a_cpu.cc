@@ -7,7 +7,7 @@
 #endif
 #define JAXSCP_ALONE JAXSCP_THREADS
 
-#include "xla/ffi/api/ffi.h"
+#include "call.h"
 
 #include "fibers_on_a_cpu.h"
 #include "kernel.cu"
@@ -27,16 +27,13 @@ void add_products(double (&sums)[2], double a, double b) {
 
 #include "buffers.h"
 
-static xla::ffi::Error solve(xla::ffi::RemainingArgs args, xla::ffi::RemainingRets rets, xla::ffi::Dictionary attrs) {
-  auto found = jaxscp::sized_batch(args, rets, attrs);
-  if (!found.has_value()) return found.error();
+static void solve(jaxscp::Call& call) {
+  const jaxscp::SizedBatch found = jaxscp::sized_batch(call);
   long long sizes[5], &numbers = sizes[0];
   jaxscp_workspace(sizes);
   std::vector<double> workspace(numbers, std::nan(""));
   unsigned long long next = 0;
-  emulated::run(JAXSCP_THREADS, [&] { jaxscp_solve(found->batch, workspace.data(), numbers, &next); });
-  return xla::ffi::Error::Success();
+  emulated::run(JAXSCP_THREADS, [&] { jaxscp_solve(found.batch, workspace.data(), numbers, &next); });
 }
 
-XLA_FFI_DEFINE_HANDLER_SYMBOL(jaxscp_interior_point, solve,
-                              xla::ffi::Ffi::Bind().RemainingArgs().RemainingRets().Attrs());
+JAXSCP_HANDLER(jaxscp_interior_point, solve);

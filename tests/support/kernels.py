@@ -22,7 +22,7 @@ needs_nvidia = pytest.mark.skipif(
 
 def compile_here(source, library, *options):
     """Compile a file into a shared library."""
-    headers = ["-isystem", jax.ffi.include_dir(), f"-I{HERE}"]
+    headers = [f"-I{libraries.HEADERS}", f"-I{HERE}"]
     flags = ["-std=c++20", "-O0", "-fPIC", "-w", "-shared", *options]
     subprocess.run([COMPILER, *flags, *headers, str(source), "-o", str(library)], check=True)
 

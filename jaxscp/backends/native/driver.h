@@ -11,7 +11,7 @@
 #include <type_traits>
 #include <utility>
 
-#include "xla/ffi/api/ffi.h"
+#include "call.h"
 
 extern "C" {
 typedef struct CUctx_st* CUcontext;
@@ -21,8 +21,6 @@ typedef struct CUfunc_st* CUfunction;
 }
 
 namespace jaxscp {
-
-namespace ffi = xla::ffi;
 
 // Functions of the driver, by NVIDIA's names and types.
 struct Driver {
@@ -58,6 +56,7 @@ struct Driver {
   }
   static const Driver& get() {
     static Driver driver;
+    if (!driver.found) throw internal("the CUDA driver was not found, or is too old");
     return driver;
   }
 };
@@ -71,9 +70,8 @@ struct Failure {
     if (result != 0 && code == 0) code = result, what = tried;
     return code == 0;
   }
-  ffi::Error error() const {
-    if (code == 0) return ffi::Error::Success();
-    return ffi::Error::Internal(std::string(kernel) + ": " + what + " failed with CUDA error " + std::to_string(code));
+  void raise() const {
+    if (code != 0) throw internal(std::string(kernel) + ": " + what + " failed with CUDA error " + std::to_string(code));
   }
 };
 

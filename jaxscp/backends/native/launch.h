@@ -4,7 +4,6 @@
 // the number of elements of the batch, and the number of elements along the batch's last axis.
 #pragma once
 
-#include <algorithm>
 #include <cstdint>
 #include <vector>
 
@@ -16,63 +15,61 @@ struct LoadedKernel {
   CUfunction function = nullptr;
 };
 
-inline LoadedKernel load_kernel(const Driver& cuda, ffi::Span<const uint8_t> cubin, int64_t shared, Failure& failure) {
+inline LoadedKernel load_kernel(const Driver& cuda, const void* cubin, int64_t shared, Failure& failure) {
   constexpr int kSharedMost = 8;  // CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES
   LoadedKernel found;
   CUmodule module = nullptr;
-  failure(cuda.cuModuleLoadData(&module, cubin.begin()), "loading it") &&
+  failure(cuda.cuModuleLoadData(&module, cubin), "loading it") &&
       failure(cuda.cuModuleGetFunction(&found.function, module, "jaxscp_kernel"), "finding it") &&
       failure(cuda.cuFuncSetAttribute(found.function, kSharedMost, static_cast<int>(shared)), "sharing memory");
   return found;
 }
 
-// ``axes``: axes of one element in the first argument. ``group_size`` threads work on an element; a block has
-// ``threads`` threads and ``shared`` bytes of shared memory.
-inline ffi::Error launch(CUstream stream, ffi::RemainingArgs args, ffi::RemainingRets rets,
-                         ffi::Span<const uint8_t> cubin, std::string_view name, int64_t axes, int64_t group_size,
-                         int64_t threads, int64_t shared) {
+// Parameters of a kernel and its number of blocks. Attributes of the call: ``axes`` of one element in the first
+// argument. ``group_size`` threads work on an element; a block has ``threads`` threads.
+struct Work {
   std::vector<void*> addresses;
-  for (size_t i = 0; i < args.size(); ++i) addresses.push_back(args.get<ffi::AnyBuffer>(i)->untyped_data());
-  for (size_t i = 0; i < rets.size(); ++i) addresses.push_back((*rets.get<ffi::AnyBuffer>(i))->untyped_data());
-  const auto shape = args.get<ffi::AnyBuffer>(0)->dimensions();
-  const int64_t batch_axes = static_cast<int64_t>(shape.size()) - axes;
-  if (batch_axes < 0) return ffi::Error::InvalidArgument("a kernel's first argument lacks an axis");
-  long long count = 1, last = batch_axes > 0 ? shape[batch_axes - 1] : 1;
-  for (int64_t i = 0; i < batch_axes; ++i) count *= shape[i];
-  const Driver& cuda = Driver::get();
-  if (!cuda.found) return ffi::Error::Internal("the CUDA driver was not found, or is too old");
+  long long count = 1, last = 1, blocks = 0;
 
+  explicit Work(const Call& call) {
+    for (int64_t i = 0; i < call.arguments(); ++i) addresses.push_back(call.argument(i).address());
+    for (int64_t i = 0; i < call.results(); ++i) addresses.push_back(call.result(i).address());
+    const Array first = call.argument(0);
+    const int64_t batch_axes = first.rank() - call.number<int64_t>("axes");
+    if (batch_axes < 0) throw invalid("a kernel's first argument lacks an axis");
+    for (int64_t axis = 0; axis < batch_axes; ++axis) count *= last = first.length(axis);
+    const auto threads = call.number<int64_t>("threads");
+    blocks = (count * call.number<int64_t>("group_size") + threads - 1) / threads;
+    if (blocks > INT32_MAX) throw invalid("a kernel has more blocks than a GPU can launch");
+  }
+  // Addresses of all parameters, for as long as this lives.
+  std::vector<void*> parameters() {
+    std::vector<void*> all;
+    for (void*& address : addresses) all.push_back(&address);
+    all.push_back(&count), all.push_back(&last);
+    return all;
+  }
+};
+
+// A block has ``shared`` bytes of shared memory, an attribute of the call.
+inline void launch(Call& call) {
+  Work work(call);
+  const auto threads = call.number<int64_t>("threads"), shared = call.number<int64_t>("shared");
+  const Driver& cuda = Driver::get();
+  const auto stream = static_cast<CUstream>(call.stream());
   Failure failure{"a kernel compiled at run time"};
   const Current current(cuda, stream, failure);
-  if (failure.code != 0) return failure.error();
+  failure.raise();
   static KernelCache<LoadedKernel> cache;
-  const LoadedKernel kernel = cache.get({current.context(), std::string(name)}, failure,
-                                        [&] { return load_kernel(cuda, cubin, shared, failure); });
-  const long long blocks = (count * group_size + threads - 1) / threads;
-  if (blocks > INT32_MAX) return ffi::Error::InvalidArgument("a kernel has more blocks than a GPU can launch");
-  if (failure.code == 0 && blocks > 0) {
-    std::vector<void*> parameters;
-    for (void*& address : addresses) parameters.push_back(&address);
-    parameters.push_back(&count), parameters.push_back(&last);
-    failure(cuda.cuLaunchKernel(kernel.function, static_cast<unsigned>(blocks), 1, 1, static_cast<unsigned>(threads), 1,
-                                1, static_cast<unsigned>(shared), stream, parameters.data(), nullptr),
+  const LoadedKernel kernel = cache.get({current.context(), std::string(call.text("name"))}, failure, [&] {
+    return load_kernel(cuda, call.numbers<uint8_t>("cubin").data(), shared, failure);
+  });
+  if (failure.code == 0 && work.blocks > 0)
+    failure(cuda.cuLaunchKernel(kernel.function, static_cast<unsigned>(work.blocks), 1, 1,
+                                static_cast<unsigned>(threads), 1, 1, static_cast<unsigned>(shared), stream,
+                                work.parameters().data(), nullptr),
             "launching it");
-  }
-  return failure.error();
-}
-
-// The FFI binding of ``launch``.
-inline auto launch_binding() {
-  return ffi::Ffi::Bind()
-      .Ctx<ffi::PlatformStream<CUstream>>()
-      .RemainingArgs()
-      .RemainingRets()
-      .Attr<ffi::Span<const uint8_t>>("cubin")
-      .Attr<std::string_view>("name")
-      .Attr<int64_t>("axes")
-      .Attr<int64_t>("group_size")
-      .Attr<int64_t>("threads")
-      .Attr<int64_t>("shared");
+  failure.raise();
 }
 
 }  // namespace jaxscp

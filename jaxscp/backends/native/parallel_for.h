@@ -7,16 +7,14 @@
 #include <memory>
 #include <mutex>
 
-#include "xla/ffi/api/ffi.h"
+#include "call.h"
 
 namespace jaxscp {
-
-namespace ffi = xla::ffi;
 
 // Runs ``lead`` on this thread and ``help`` on up to ``helpers`` others. The caller waits only for helpers that have
 // begun, so that a busy pool cannot block the caller.
 template <typename Lead, typename Help>
-void with_helpers(ffi::ThreadPool& pool, int64_t helpers, const Lead& lead, const Help& help) {
+void with_helpers(const Call& call, int64_t helpers, const Lead& lead, const Help& help) {
   struct State {
     std::mutex lock;
     std::condition_variable idle;
@@ -25,7 +23,7 @@ void with_helpers(ffi::ThreadPool& pool, int64_t helpers, const Lead& lead, cons
   };
   auto state = std::make_shared<State>();
   for (int64_t i = 0; i < helpers; ++i)
-    pool.Schedule([state, &help] {
+    call.schedule([state, &help] {
       {
         std::lock_guard<std::mutex> guard(state->lock);
         if (state->over) return;  // the caller has returned, and ``help`` no longer exists
@@ -44,12 +42,12 @@ void with_helpers(ffi::ThreadPool& pool, int64_t helpers, const Lead& lead, cons
 
 // Runs work(i) for i = 0 .. count - 1.
 template <typename Work>
-void parallel_for(ffi::ThreadPool& pool, int64_t count, const Work& work) {
+void parallel_for(const Call& call, int64_t count, const Work& work) {
   std::atomic<int64_t> next{0};
   auto take = [&] {
     for (int64_t i; (i = next++) < count;) work(i);
   };
-  with_helpers(pool, std::min<int64_t>(count, pool.num_threads()) - 1, take, take);
+  with_helpers(call, std::min(count, call.threads()) - 1, take, take);
 }
 
 }  // namespace jaxscp

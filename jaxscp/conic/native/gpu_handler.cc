@@ -20,7 +20,7 @@ struct Kernel {
   long long grid = 1ll << 30;  // largest grid that memory was available for
 };
 
-Kernel load(const Driver& cuda, ffi::Span<const uint8_t> cubin, CUstream stream, void* scratch, Failure& failure) {
+Kernel load(const Driver& cuda, const void* cubin, CUstream stream, void* scratch, Failure& failure) {
   Kernel kernel;
   CUmodule module = nullptr;
   CUfunction workspace = nullptr;
@@ -28,7 +28,7 @@ Kernel load(const Driver& cuda, ffi::Span<const uint8_t> cubin, CUstream stream,
   auto number = reinterpret_cast<unsigned long long>(scratch);
   void* arguments[] = {&scratch};
   long long sizes[5] = {};
-  failure(cuda.cuModuleLoadData(&module, cubin.begin()), "loading it") &&
+  failure(cuda.cuModuleLoadData(&module, cubin), "loading it") &&
       failure(cuda.cuModuleGetFunction(&kernel.solve, module, "jaxscp_solve"), "finding it") &&
       failure(cuda.cuModuleGetFunction(&workspace, module, "jaxscp_workspace"), "finding it") &&
       failure(cuda.cuCtxGetDevice(&device), "finding the device") &&
@@ -47,53 +47,46 @@ Kernel load(const Driver& cuda, ffi::Span<const uint8_t> cubin, CUstream stream,
   return kernel;
 }
 
-// ``blocks``: blocks per multiprocessor, with ``threads`` threads each. ``alone``: threads of a block that is alone on
-// its multiprocessor, in small batches.
-ffi::Error solve(CUstream stream, ffi::ScratchAllocator scratch, ffi::RemainingArgs args, ffi::RemainingRets rets,
-                 ffi::Dictionary attrs) {
-  auto found = sized_batch(args, rets, attrs);
-  if (!found.has_value()) return found.error();
-  auto cubin = attrs.get<ffi::Span<const uint8_t>>("cubin");
-  auto name = attrs.get<std::string_view>("name");
-  auto blocks = attrs.get<int64_t>("blocks"), threads = attrs.get<int64_t>("threads");
-  auto alone = attrs.get<int64_t>("alone");
-  if (!cubin.has_value() || !name.has_value() || !blocks.has_value() || !threads.has_value() || !alone.has_value())
-    return ffi::Error::InvalidArgument("the interior point's kernel is not part of the call");
+// Attributes of the call: ``blocks`` per multiprocessor, with ``threads`` threads each. ``alone``: threads of a block
+// that is alone on its multiprocessor, in small batches.
+void solve(Call& call) {
+  SizedBatch found = sized_batch(call);
+  const auto blocks = call.number<int64_t>("blocks"), threads = call.number<int64_t>("threads");
+  const auto alone = call.number<int64_t>("alone");
   const Driver& cuda = Driver::get();
-  if (!cuda.found) return ffi::Error::Internal("the CUDA driver was not found, or is too old");
-
+  const auto stream = static_cast<CUstream>(call.stream());
   Failure failure{"the interior point's kernel"};
   const Current current(cuda, stream, failure);
-  if (failure.code != 0) return failure.error();
+  failure.raise();
   constexpr size_t kCounter = 256;   // bytes, so that the workspace is aligned
   constexpr size_t kAlignment = 16;  // XLA guarantees 16 and gives 256
   static KernelCache<Kernel> kernels;
-  const auto key = std::make_pair(current.context(), std::string(*name));
+  const auto key = std::make_pair(current.context(), std::string(call.text("name")));
   const Kernel kernel = kernels.get(key, failure, [&] {
-    auto number = scratch.Allocate(kCounter, kAlignment);
-    if (number) return load(cuda, *cubin, stream, *number, failure);
+    void* number = call.allocate(kCounter, kAlignment);
+    if (number) return load(cuda, call.numbers<uint8_t>("cubin").data(), stream, number, failure);
     failure(kOutOfMemory, "finding memory for it");
     return Kernel();
   });
   if (failure.code == 0 && (kernel.version != kVersion || kernel.batch != sizeof(Batch)))
-    return ffi::Error::Internal(
+    throw internal(
         "the interior point's kernel is of another version of jaxscp: install that again, or export the planner again");
-  if (failure.code == 0 && found->batch.size > 0) {
-    const bool few = found->batch.size <= kernel.multiprocessors && kernel.shared_alone > 0;
-    const long long block = few ? *alone : *threads, shared = few ? kernel.shared_alone : kernel.shared;
-    long long grid = std::min<long long>({found->batch.size, *blocks * kernel.multiprocessors, kernel.grid});
-    auto find = [&] { return scratch.Allocate(kCounter + grid * kernel.workspace * sizeof(double), kAlignment); };
-    auto memory = find();
-    bool enough = memory.has_value();
+  if (failure.code == 0 && found.batch.size > 0) {
+    const bool few = found.batch.size <= kernel.multiprocessors && kernel.shared_alone > 0;
+    const long long block = few ? alone : threads, shared = few ? kernel.shared_alone : kernel.shared;
+    long long grid = std::min<long long>({found.batch.size, blocks * kernel.multiprocessors, kernel.grid});
+    auto find = [&] { return call.allocate(kCounter + grid * kernel.workspace * sizeof(double), kAlignment); };
+    void* memory = find();
+    const bool enough = memory != nullptr;
     for (; !memory && grid > 1; memory = find()) grid /= 2;  // fewer programs at once if memory is short
     // XLA waits several seconds before it reports a lack of memory; remembered to wait only once.
     if (!enough) kernels.change(key, [&](Kernel& it) { it.grid = grid; });
     if (!memory) {
       failure(kOutOfMemory, "finding memory for it");
     } else {
-      void *counter = *memory, *workspace = static_cast<char*>(counter) + kCounter;
+      void *counter = memory, *workspace = static_cast<char*>(counter) + kCounter;
       long long numbers = kernel.workspace;
-      void* arguments[] = {&found->batch, &workspace, &numbers, &counter};
+      void* arguments[] = {&found.batch, &workspace, &numbers, &counter};
       const auto address = reinterpret_cast<unsigned long long>(counter);
       failure(cuda.cuMemsetD8Async(address, 0, kCounter, stream), "starting it") &&
           failure(cuda.cuLaunchKernel(kernel.solve, static_cast<unsigned>(grid), 1, 1, static_cast<unsigned>(block),
@@ -101,17 +94,10 @@ ffi::Error solve(CUstream stream, ffi::ScratchAllocator scratch, ffi::RemainingA
                   "launching it");
     }
   }
-  return failure.error();
+  failure.raise();
 }
 
 }  // namespace
 }  // namespace jaxscp
 
-XLA_FFI_DEFINE_HANDLER_SYMBOL(
-    jaxscp_interior_point_on_gpu, jaxscp::solve,
-    xla::ffi::Ffi::Bind()
-        .Ctx<xla::ffi::PlatformStream<CUstream>>()
-        .Ctx<xla::ffi::ScratchAllocator>()
-        .RemainingArgs()
-        .RemainingRets()
-        .Attrs());
+JAXSCP_HANDLER(jaxscp_interior_point_on_gpu, jaxscp::solve);

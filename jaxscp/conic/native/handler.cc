@@ -72,14 +72,14 @@ void as_member(Team& team, int rank, Act act) {
 }
 
 // Solves one program with several threads, if that is faster and each thread has enough packs.
-void solve_together(ffi::ThreadPool& pool, const Batch& batch, Worker& worker) {
+void solve_together(const Call& call, const Batch& batch, Worker& worker) {
   using Clock = std::chrono::steady_clock;
   constexpr int kPacksEach = 2;
-  const int packs = worker.program.packs, threads = std::min<int64_t>(packs / kPacksEach, pool.num_threads());
+  const int packs = worker.program.packs, threads = std::min<int64_t>(packs / kPacksEach, call.threads());
   const bool help = threads > 1 && worker.timings.prefers_help();
   Team team(help ? threads : 1, packs);
   const auto begin = Clock::now();
-  with_helpers(pool, help ? threads - 1 : 0,
+  with_helpers(call, help ? threads - 1 : 0,
                [&] {
                  as_member(team, 0, [&] { solve_element(batch, 0, worker.program, worker.scales, worker.solver); });
                },
@@ -88,25 +88,17 @@ void solve_together(ffi::ThreadPool& pool, const Batch& batch, Worker& worker) {
   worker.timings.add(help, seconds / (1 + worker.solver.iterations));
 }
 
-ffi::Error solve(ffi::ThreadPool pool, ffi::RemainingArgs args, ffi::RemainingRets rets, ffi::Dictionary attrs) {
-  auto found = sized_batch(args, rets, attrs);
-  if (!found.has_value()) return found.error();
-  const Batch& batch = found->batch;
-  if (batch.size == 1) {
-    solve_together(pool, batch, Worker::of_thread(found->sizes, batch.settings));
-  } else {
-    parallel_for(pool, batch.size, [&](int64_t element) {
-      Worker& worker = Worker::of_thread(found->sizes, batch.settings);
-      Team alone(1, worker.program.packs);
-      as_member(alone, 0, [&] { solve_element(batch, element, worker.program, worker.scales, worker.solver); });
-    });
-  }
-  return ffi::Error::Success();
+void solve(Call& call) {
+  const auto [sizes, batch] = sized_batch(call);
+  if (batch.size == 1) return solve_together(call, batch, Worker::of_thread(sizes, batch.settings));
+  parallel_for(call, batch.size, [&sizes = sizes, &batch = batch](int64_t element) {
+    Worker& worker = Worker::of_thread(sizes, batch.settings);
+    Team alone(1, worker.program.packs);
+    as_member(alone, 0, [&] { solve_element(batch, element, worker.program, worker.scales, worker.solver); });
+  });
 }
 
 }  // namespace
 }  // namespace jaxscp
 
-XLA_FFI_DEFINE_HANDLER_SYMBOL(
-    jaxscp_interior_point, jaxscp::solve,
-    xla::ffi::Ffi::Bind().Ctx<xla::ffi::ThreadPool>().RemainingArgs().RemainingRets().Attrs());
+JAXSCP_HANDLER(jaxscp_interior_point, jaxscp::solve);

@@ -2,4 +2,4 @@
 
 #include "launch.h"
 
-XLA_FFI_DEFINE_HANDLER_SYMBOL(jaxscp_integrate_on_gpu, jaxscp::launch, jaxscp::launch_binding());
+JAXSCP_HANDLER(jaxscp_integrate_on_gpu, jaxscp::launch);

@@ -94,35 +94,26 @@ void integrate_pack(const IntervalProblem& p, const Arrays& at, int64_t pack, Wo
   if (p.order == 2) packed.write(tangents.hessian(), p.inputs() * p.inputs(), at.hessian);
 }
 
-ffi::Error integrate(ffi::ThreadPool pool, ffi::Span<const int32_t> integers, ffi::Span<const double> reals,
-                     ffi::RemainingArgs args, ffi::RemainingRets rets) {
-  const IntervalProblem p = read_problem(integers.begin(), reals.begin());
-  if (p.stages() > kMaxStages) return ffi::Error::InvalidArgument("the Runge-Kutta method has too many stages");
-  if (args.size() != (p.order == 2 ? 4u : 3u) || rets.size() != 1u + p.order)
-    return ffi::Error::InvalidArgument("the integration lacks an array");
-  auto argument = [&](size_t i) { return args.get<ffi::AnyBuffer>(i)->typed_data<double>(); };
-  auto result = [&](size_t i) { return (*rets.get<ffi::AnyBuffer>(i))->typed_data<double>(); };
-  const auto w = *args.get<ffi::AnyBuffer>(0);
+void integrate(Call& call) {
+  const IntervalProblem p =
+      read_problem(call.numbers<int32_t>("integers").data(), call.numbers<double>("reals").data());
+  if (p.stages() > kMaxStages) throw invalid("the Runge-Kutta method has too many stages");
+  auto argument = [&](int64_t i) { return call.argument(i).numbers<double>(); };
+  auto result = [&](int64_t i) { return call.result(i).numbers<double>(); };
+  const Array w = call.argument(0);
   Arrays at{};
-  at.intervals = w.dimensions()[w.dimensions().size() - 2], at.count = w.element_count() / p.inputs();
+  at.intervals = w.from_last(2), at.count = w.size() / p.inputs();
   at.w = argument(0), at.parameters = argument(1), at.data = argument(2), at.outputs = result(0);
   if (p.order > 0) at.jacobian = result(1);
   if (p.order > 1) at.multipliers = argument(3), at.hessian = result(2);
   const int64_t packs = (at.count + kLanes - 1) / kLanes;
-  parallel_for(pool, packs, [&](int64_t pack) {
+  parallel_for(call, packs, [&](int64_t pack) {
     thread_local Workspace workspace;  // allocation takes half as long as the integration
     integrate_pack(p, at, pack, workspace);
   });
-  return ffi::Error::Success();
 }
 
 }  // namespace
 }  // namespace jaxscp
 
-XLA_FFI_DEFINE_HANDLER_SYMBOL(jaxscp_integrate, jaxscp::integrate,
-                              xla::ffi::Ffi::Bind()
-                                  .Ctx<xla::ffi::ThreadPool>()
-                                  .Attr<xla::ffi::Span<const int32_t>>("integers")
-                                  .Attr<xla::ffi::Span<const double>>("reals")
-                                  .RemainingArgs()
-                                  .RemainingRets());
+JAXSCP_HANDLER(jaxscp_integrate, jaxscp::integrate);

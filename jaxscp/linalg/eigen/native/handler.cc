@@ -58,43 +58,26 @@ void decompose(const double* from, int64_t first, int64_t end, int size, double*
     }
 }
 
-using Numbers = ffi::Buffer<ffi::F64>;
-
-// Runs act(first, end, size) for every pack of matrices.
-template <typename Act>
-ffi::Error by_packs(ffi::ThreadPool pool, const Numbers& matrices, Act act) {
-  const auto shape = matrices.dimensions();
-  const int size = static_cast<int>(shape[shape.size() - 1]);
-  if (size == 0) return ffi::Error::InvalidArgument("matrices without rows have no eigenvalues");
-  const auto count = static_cast<int64_t>(matrices.element_count()) / (static_cast<int64_t>(size) * size);
-  parallel_for(pool, (count + kWidth - 1) / kWidth, [&](int64_t pack) {
+// Runs act(matrices, first, end, size, first result, second result) for every pack of matrices.
+using Act = void(const double*, int64_t, int64_t, int, double*, double*);
+void by_packs(const Call& call, Act act) {
+  const Array matrices = call.argument(0);
+  const int size = matrices.from_last(1);
+  if (size == 0) throw invalid("matrices without rows have no eigenvalues");
+  const int64_t count = matrices.size() / (static_cast<int64_t>(size) * size);
+  const double* from = matrices.numbers<double>();
+  double *const first_result = call.result(0).numbers<double>(), *const second_result = call.result(1).numbers<double>();
+  parallel_for(call, (count + kWidth - 1) / kWidth, [&](int64_t pack) {
     const int64_t first = pack * kWidth;
-    act(first, std::min(count, first + kWidth), size);
-  });
-  return ffi::Error::Success();
-}
-
-ffi::Error nearest(ffi::ThreadPool pool, Numbers matrices, ffi::Result<Numbers> found, ffi::Result<Numbers> least) {
-  return by_packs(pool, matrices, [&](int64_t first, int64_t end, int size) {
-    project(matrices.typed_data(), first, end, size, found->typed_data(), least->typed_data());
+    act(from, first, std::min(count, first + kWidth), size, first_result, second_result);
   });
 }
 
-ffi::Error eigen(ffi::ThreadPool pool, Numbers matrices, ffi::Result<Numbers> values, ffi::Result<Numbers> vectors) {
-  return by_packs(pool, matrices, [&](int64_t first, int64_t end, int size) {
-    decompose(matrices.typed_data(), first, end, size, values->typed_data(), vectors->typed_data());
-  });
-}
+void nearest(Call& call) { by_packs(call, project); }
+void eigen(Call& call) { by_packs(call, decompose); }
 
 }  // namespace
 }  // namespace jaxscp
 
-#define JAXSCP_OF_MATRICES             \
-  xla::ffi::Ffi::Bind()                \
-      .Ctx<xla::ffi::ThreadPool>()     \
-      .Arg<jaxscp::Numbers>()          \
-      .Ret<jaxscp::Numbers>()          \
-      .Ret<jaxscp::Numbers>()
-
-XLA_FFI_DEFINE_HANDLER_SYMBOL(jaxscp_nearest_semidefinite, jaxscp::nearest, JAXSCP_OF_MATRICES);
-XLA_FFI_DEFINE_HANDLER_SYMBOL(jaxscp_eigen, jaxscp::eigen, JAXSCP_OF_MATRICES);
+JAXSCP_HANDLER(jaxscp_nearest_semidefinite, jaxscp::nearest);
+JAXSCP_HANDLER(jaxscp_eigen, jaxscp::eigen);
