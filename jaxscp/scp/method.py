@@ -67,9 +67,20 @@ class Method(Protocol):
         ...
 
     def run(
-        self, problem: ScaledTimeProblem, z: Float[Array, "nodes variables"], enabled: Flag | bool = True
+        self,
+        problem: ScaledTimeProblem,
+        z: Float[Array, "nodes variables"],
+        enabled: Flag | bool = True,
+        keep_mesh: Flag | bool = False,
     ) -> Any:
-        """Last state from a guess; a batch element that is not enabled takes no step."""
+        """Last state from a guess.
+
+        Args:
+            problem: to solve.
+            z: the guess.
+            enabled: a batch element that is not enabled takes no step.
+            keep_mesh: whether the guess has a good mesh, from an earlier plan, near which the method may stay.
+        """
         ...
 
     def result(self, problem: ScaledTimeProblem, state: Any) -> MethodResult:
@@ -82,8 +93,9 @@ def iterate(
     problem: ScaledTimeProblem,
     z: Float[Array, "nodes variables"],
     enabled: Flag | bool = True,
+    keep_mesh: Flag | bool = False,
 ) -> MethodResult:
     """Result of a method from the guess z; derivatives bypass the iterations."""
-    frozen = jax.lax.stop_gradient((problem, z, jnp.asarray(enabled)))
+    frozen = jax.lax.stop_gradient((problem, z, jnp.asarray(enabled), jnp.asarray(keep_mesh)))
     state, most = batching.alone_on_a_cpu(lambda fixed: restarted(method, *fixed), frozen)
     return method.result(mesh.bounded(problem, most), state)

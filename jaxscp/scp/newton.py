@@ -50,7 +50,7 @@ BARRIER_OF_STEP = (
     1e-2  # first barrier of the interior point, over the square of the last step, in typical sizes
 )
 # The interior point's mesh is free first. Many plans cost nearly the same on other meshes: along such directions it may
-# go on for long. Then the dilation of each node keeps within this factor.
+# go on for long. Then the dilation of each node keeps within this factor. A good mesh is kept first, and free then.
 MESH_RATIOS = jnp.inf, 1.3
 MERIT_MEMORY = 5  # accepted points whose worst merit a new one must beat
 # On leaving a limit, one round each; the last one is lower: a limit may be left where nothing else helps.
@@ -170,12 +170,16 @@ class NewtonSCP(NewtonSettings):
         return state.done | (state.iterations >= self.max_iterations)
 
     def run(
-        self, problem: ScaledTimeProblem, z: Float[Array, "nodes variables"], enabled: Flag | bool = True
+        self,
+        problem: ScaledTimeProblem,
+        z: Float[Array, "nodes variables"],
+        enabled: Flag | bool = True,
+        keep_mesh: Flag | bool = False,
     ) -> NewtonState:
         """Iterate from a guess to the optimum; a batch element that is not enabled takes no step.
 
         The subproblems lead near the optimum, and the interior point from there to it. Where it fails, the
-        subproblems go on to convergence.
+        subproblems go on to convergence. With ``keep_mesh``, the interior point first stays near the subproblems' mesh.
         """
         start = batching.in_chunks(lambda fixed: self.init(*fixed), (problem, z))
         start = eqx.tree_at(lambda s: s.done, start, ~jnp.asarray(enabled))
@@ -188,15 +192,17 @@ class NewtonSCP(NewtonSettings):
                 state,
                 batching.CHUNK_OF_LONG_LOOPS,
             )
-            return self.switch_to_interior_point(problem, state), None
+            return self.switch_to_interior_point(problem, state, keep_mesh), None
 
         end, _ = jax.lax.scan(attempt, start, jnp.array(TOLERANCE_FACTORS))
         restore = lambda problem, state, _: self.restore_dynamics(problem, state)  # noqa: E731
         return batching.where_needed(~end.is_optimum, restore, problem, end)
 
-    def switch_to_interior_point(self, problem: ScaledTimeProblem, state: NewtonState) -> NewtonState:
+    def switch_to_interior_point(
+        self, problem: ScaledTimeProblem, state: NewtonState, keep_mesh: Flag | bool
+    ) -> NewtonState:
         """The optimum close to the last iterate, if the interior point finds it; else the state as it is."""
-        found = self._interior_optimum(problem, state)
+        found = self._interior_optimum(problem, state, keep_mesh)
         z, is_optimum = found.z, found.found
         cost = jnp.sum(evaluate(problem, z, self.grid).cost) + problem.terminal_cost(z)
         return eqx.tree_at(
@@ -227,8 +233,10 @@ class NewtonSCP(NewtonSettings):
             ),
         )
 
-    def _interior_optimum(self, problem: ScaledTimeProblem, state: NewtonState) -> _Optimum:
-        """By the interior point: on a free mesh, and else on one near the last iterate's."""
+    def _interior_optimum(
+        self, problem: ScaledTimeProblem, state: NewtonState, keep_mesh: Flag | bool
+    ) -> _Optimum:
+        """By the interior point: on a free mesh, and else on one near the last iterate's; or the other way round."""
         # A high barrier would lead a point that is an optimum away from it, and perhaps to another one.
         last = state.history.step_norm[jnp.maximum(state.iterations - 1, 0)]
         mu = jnp.clip(BARRIER_OF_STEP * last**2, self.interior.final_mu, self.interior.initial_mu)
@@ -246,7 +254,8 @@ class NewtonSCP(NewtonSettings):
             fixed = (mu, problem, state.z, state.multipliers, *bounds)
             return batching.where_needed(state.close_to_optimum & ~found.found, run, fixed, found), None
 
-        dilation, ratios, none = state.z[:, -1], jnp.array(MESH_RATIOS)[:, None], jnp.zeros((), int)
+        dilation, none = state.z[:, -1], jnp.zeros((), int)
+        ratios = jnp.where(keep_mesh, jnp.array(MESH_RATIOS[::-1]), jnp.array(MESH_RATIOS))[:, None]
         as_it_is = state.z, state.multipliers, state.dilation_least, state.dilation_most
         begun = _Optimum(*as_it_is, jnp.zeros((), bool), none)
         return jax.lax.scan(attempt, begun, (dilation / ratios, dilation * ratios))[0]

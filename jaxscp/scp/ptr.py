@@ -182,9 +182,13 @@ class PTR(eqx.Module):
         return state.done | (state.iterations >= self.max_iterations)
 
     def run(
-        self, problem: ScaledTimeProblem, z: Float[Array, "nodes variables"], enabled: Flag | bool = True
+        self,
+        problem: ScaledTimeProblem,
+        z: Float[Array, "nodes variables"],
+        enabled: Flag | bool = True,
+        keep_mesh: Flag | bool = False,
     ) -> PTRState:
-        """Iterate from a guess to the end; a batch element that is not enabled takes no step."""
+        """Iterate from a guess to the end; a batch element that is not enabled takes no step. The mesh is free."""
         start = self.init(problem, z)
         start = eqx.tree_at(lambda s: s.done, start, ~jnp.asarray(enabled))
         return batching.while_loop(lambda state: ~self.terminate(state), self.step, problem, start, CHUNKS)

@@ -38,10 +38,12 @@ AGAIN = (
 
 
 class Start(eqx.Module):
-    """A guess, and the greatest dilation of each of its nodes; of several, along the leading axis."""
+    """A guess, the greatest dilation of each of its nodes, and more; of several, along the leading axis."""
 
     z: Float[Array, "nodes variables"]
     most: Nodes
+    keep_mesh: Flag
+    """Whether the guess has a good mesh."""
 
 
 class End(eqx.Module):
@@ -68,7 +70,11 @@ class End(eqx.Module):
 
 
 def restarted(
-    method: Any, problem: ScaledTimeProblem, z: Float[Array, "nodes variables"], enabled: Flag
+    method: Any,
+    problem: ScaledTimeProblem,
+    z: Float[Array, "nodes variables"],
+    enabled: Flag,
+    keep_mesh: Flag,
 ) -> tuple[Any, Nodes]:
     """Last state of a method from a guess, or from the first start that leads to a solution; and its mesh's bounds.
 
@@ -77,25 +83,24 @@ def restarted(
         problem: without derivatives.
         z: the guess.
         enabled: whether steps are taken at all.
+        keep_mesh: whether the guess has a good mesh; the other starts have none.
     """
-    starts = _planned(method, problem, z)
+    starts = _planned(method, problem, z, keep_mesh)
     arrays, rest = eqx.partition(problem, eqx.is_array)
 
     @jax.jit  # traced once
     def run(arrays, start: Start, enabled: Flag) -> End:
         stated = mesh.bounded(eqx.combine(arrays, rest), start.most)
-        state = method.run(stated, start.z, enabled)
-        free = jnp.full_like(start.most, FREE)
-        accurate = free if method.grid is None else mesh.bounds(stated, state.z, method.grid)
-        return End(state, start.most, accurate, jnp.ones((), bool))
+        state = method.run(stated, start.z, enabled, start.keep_mesh)
+        accurate = FREE if method.grid is None else mesh.bounds(stated, state.z, method.grid)
+        return End(state, start.most, jnp.full_like(start.most, accurate), jnp.ones((), bool))
 
     def from_start(fixed, _, needed: Flag) -> End:
         arrays, start, enabled = fixed
         return run(arrays, start, enabled & needed)
 
     first = jax.tree.map(lambda v: v[0], starts)
-    zero = lambda v: jnp.zeros(v.shape, v.dtype)  # noqa: E731
-    nothing = jax.tree.map(zero, jax.eval_shape(run, arrays, first, enabled).state)
+    nothing = jax.tree.map(jnp.zeros_like, jax.eval_shape(run, arrays, first, enabled).state)
 
     def attempt(carry: tuple[End, Count], _):
         last, used = carry
@@ -105,9 +110,8 @@ def restarted(
         another = left & ~_same(problem, planned, first) & (last.coarse | last.failed)
         needed = none_yet | (enabled & (refine | another))
         start = tree_where(refine, _refined(last), planned)
-        found = batching.where_needed(
-            needed, from_start, (arrays, start, enabled), last, batching.CHUNK_AROUND_LOOPS
-        )
+        fixed = arrays, start, enabled
+        found = batching.where_needed(needed, from_start, fixed, last, batching.CHUNK_AROUND_LOOPS)
         taken = none_yet | (found.state.status == Status.converged)
         last = dataclasses.replace(last, improves=last.improves & ~(needed & refine))
         return (tree_where(taken, found, last), used + (~refine).astype(int)), None
@@ -126,13 +130,16 @@ def slower(
     return problem.join(plan.state, plan.control, jnp.maximum(dilation, plan.dilation))
 
 
-def _planned(method: Any, problem: ScaledTimeProblem, z: Float[Array, "nodes variables"]) -> Start:
-    """The planned starts, in their order."""
+def _planned(
+    method: Any, problem: ScaledTimeProblem, z: Float[Array, "nodes variables"], keep_mesh: Flag
+) -> Start:
+    """The planned starts, in their order; the first one is the guess as it is."""
     mean, starts = jnp.mean(z[:, -1]), []
     for time, longest in STARTS:
         if longest == FREE or method.grid is not None:
             guess = z if time == 1.0 else slower(problem, z, time)
-            starts.append(Start(guess, jnp.full(z.shape[0], longest * mean)))
+            keeps = keep_mesh & jnp.asarray(not starts)
+            starts.append(Start(guess, jnp.full(z.shape[0], longest * mean), keeps))
     return jax.tree.map(lambda *v: jnp.stack(v), *starts)
 
 
@@ -145,4 +152,4 @@ def _same(problem: ScaledTimeProblem, a: Start, b: Start) -> Flag:
 def _refined(last: End) -> Start:
     """From a solution on a mesh that is too coarse."""
     most, z = jnp.minimum(last.most, last.accurate), last.state.z
-    return Start(z.at[:, -1].min(most), most)
+    return Start(z.at[:, -1].min(most), most, jnp.zeros((), bool))

@@ -83,10 +83,11 @@ class Pipeline(eqx.Module):
         scenario = aot.with_arrays(scenario).measured()
         traced = is_traced(elapsed)
         seconds = elapsed if traced else checked_seconds(plan, elapsed)
+        in_flight = jnp.asarray(seconds > 0.0)
         if traced or seconds > 0.0:
             fixed._check_shapes(scenario)
             plan, scenario, context = rest_of(plan, context, scenario, seconds)
-        found = fixed._from_plan(plan.with_dynamics(None), context, scenario)
+        found = fixed._from_plan(plan.with_dynamics(None), context, scenario, in_flight)
         return better(found, functools.partial(fixed._from_guess, scenario))
 
     @any_rank
@@ -97,12 +98,12 @@ class Pipeline(eqx.Module):
         return self._finish(inputs, (ok & needed, *rest))
 
     @any_rank
-    def _from_plan(self, plan: Trajectory, context: Any, scenario: Scenario) -> Solution:
+    def _from_plan(self, plan: Trajectory, context: Any, scenario: Scenario, keep_mesh: Flag) -> Solution:
         """The solution from a plan; one with dynamics would compile another program."""
         scenario = aot.with_arrays(scenario)
         self.check(scenario)
         inputs = scenario.solver_inputs()
-        return self._finish(inputs, _setup_again(self, inputs, context, plan))
+        return self._finish(inputs, _setup_again(self, inputs, context, plan, keep_mesh))
 
     @any_rank
     def compile(self, scenario: Scenario, batch_size: int | None = None) -> aot.CompiledPlanner:
@@ -144,7 +145,7 @@ class Pipeline(eqx.Module):
 
     def setup(self, scenario: Scenario) -> tuple[ScaledTimeProblem, Any, Any]:
         """Problem over scaled time, first node variables and context: the inputs of the iterations."""
-        _, problem, z, (_, context, *_) = _inputs(self, scenario)
+        _, _, problem, z, (_, context, *_) = _inputs(self, scenario)
         return problem, z, context
 
     def nodes_for(self, scenario: Scenario) -> int:
@@ -191,7 +192,13 @@ class Pipeline(eqx.Module):
         return planner_cache.Maker((self, batch_size, devices), trace, load_planner)
 
 
-def _inputs(pipeline: Pipeline, scenario: Scenario, context: Any = None, plan: Trajectory | None = None):
+def _inputs(
+    pipeline: Pipeline,
+    scenario: Scenario,
+    context: Any = None,
+    plan: Trajectory | None = None,
+    keep_mesh: Flag | bool = False,
+):
     """Inputs of the iterations, in the solver's units; and about the solution: problem asked, context and hull.
 
     Args:
@@ -199,6 +206,7 @@ def _inputs(pipeline: Pipeline, scenario: Scenario, context: Any = None, plan: T
         scenario: in the user's units.
         context: of an earlier solution, or None.
         plan: to start from, in the user's units; None for the scenario's own guess.
+        keep_mesh: whether the plan's mesh is a good one.
     """
     nodes, form = pipeline.nodes_for(scenario), pipeline.method.form
     own, units = scenario.in_solver_units(form)
@@ -216,6 +224,7 @@ def _inputs(pipeline: Pipeline, scenario: Scenario, context: Any = None, plan: T
     z = problem.join(guess.state, guess.control, guess.dilation)
     return (
         scenario.valid(),
+        jnp.asarray(keep_mesh),
         problem,
         z,
         (reported, context, scenario.hull(context), scenario.starts_outside()),
@@ -240,13 +249,13 @@ def _setup(pipeline: Pipeline, scenario: Scenario):
 
 
 @functools.partial(jit_with_options, static_argnums=0)
-def _setup_again(pipeline: Pipeline, scenario: Scenario, context: Any, plan: Trajectory):
-    return _strongly_typed(_inputs(pipeline, scenario, context, plan))
+def _setup_again(pipeline: Pipeline, scenario: Scenario, context: Any, plan: Trajectory, keep_mesh: Flag):
+    return _strongly_typed(_inputs(pipeline, scenario, context, plan, keep_mesh))
 
 
 @functools.partial(jit_with_options, static_argnums=0)
-def _solve(pipeline: Pipeline, ok: Flag, problem: ScaledTimeProblem, z, about: Any):
-    return _strongly_typed((ok, problem, iterate(pipeline.method, problem, z, ok), about))
+def _solve(pipeline: Pipeline, ok: Flag, keep_mesh: Flag, problem: ScaledTimeProblem, z, about: Any):
+    return _strongly_typed((ok, problem, iterate(pipeline.method, problem, z, ok, keep_mesh), about))
 
 
 @functools.partial(jit_with_options, static_argnums=0)

@@ -35,7 +35,7 @@ class Threshold(eqx.Module):
     least: Any
     grid: Any = None
 
-    def run(self, problem, z, enabled):
+    def run(self, problem, z, enabled, keep_mesh):
         """The end."""
         enough = jnp.sum(trajectory_of(problem, z).dilation) >= self.least
         return End(z, Status.where(enough & enabled, Status.converged, Status.dynamics_unmet))
@@ -47,7 +47,7 @@ class BoundedMesh(eqx.Module):
     limit: Any
     grid: Any
 
-    def run(self, problem, z, enabled):
+    def run(self, problem, z, enabled, keep_mesh):
         """The end."""
         short = jnp.all(problem.dilation_max <= self.limit)
         return End(z, Status.where(short & enabled, Status.converged, Status.dynamics_unmet))
@@ -59,7 +59,9 @@ def total(z):
 
 def end(factor, enabled=True):
     """The end of a method that needs a factor of the guess's time."""
-    return restarted(Threshold(factor * total(GUESS)), PROBLEM, GUESS, jnp.asarray(enabled))[0]
+    return restarted(
+        Threshold(factor * total(GUESS)), PROBLEM, GUESS, jnp.asarray(enabled), jnp.array(False)
+    )[0]
 
 
 def test_the_slower_guess_is_the_same_path_in_more_time():
@@ -82,7 +84,7 @@ def test_elements_of_a_batch_start_again_by_themselves():
     """The first is slow enough, the second is after its restart, the third is not."""
     guesses = jnp.stack([slower(PROBLEM, GUESS, SLOWER), GUESS, jnp.asarray(GUESS).at[:, -1].multiply(0.5)])
     method = Threshold(1.1 * total(GUESS))
-    found, _ = jax.vmap(lambda z: restarted(method, PROBLEM, z, jnp.array(True)))(guesses)
+    found, _ = jax.vmap(lambda z: restarted(method, PROBLEM, z, jnp.array(True), jnp.array(False)))(guesses)
     for z, expected in zip(found.z, (guesses[0], guesses[0], guesses[2]), strict=True):
         np.testing.assert_array_equal(z, expected)
 
@@ -91,11 +93,15 @@ def test_the_last_starts_bound_the_mesh():
     """The first of them is slower, and the bounds come with the end."""
     time, ratio = STARTS[2]
     limit = ratio * float(jnp.mean(GUESS[:, -1]))
-    state, most = restarted(BoundedMesh(limit * 1.001, FINE), PROBLEM, GUESS, jnp.array(True))
+    state, most = restarted(
+        BoundedMesh(limit * 1.001, FINE), PROBLEM, GUESS, jnp.array(True), jnp.array(False)
+    )
     assert Status.converged == state.status
     np.testing.assert_array_equal(state.z, slower(PROBLEM, GUESS, time))
     np.testing.assert_allclose(most, limit)
-    without, _ = restarted(BoundedMesh(limit * 1.001, None), PROBLEM, GUESS, jnp.array(True))
+    without, _ = restarted(
+        BoundedMesh(limit * 1.001, None), PROBLEM, GUESS, jnp.array(True), jnp.array(False)
+    )
     assert Status.dynamics_unmet == without.status
 
 
@@ -103,7 +109,7 @@ def test_a_coarse_solution_is_the_next_guess_on_a_shorter_mesh():
     """A quick turn in long intervals: each start shortens them, until they are accurate."""
     turning = GUESS.at[3, -1].set(6.0)
     assert np.isfinite(mesh.bounds(PROBLEM, turning, COARSE)).any()
-    state, most = restarted(Threshold(0.0, COARSE), PROBLEM, turning, jnp.array(True))
+    state, most = restarted(Threshold(0.0, COARSE), PROBLEM, turning, jnp.array(True), jnp.array(False))
     assert Status.converged == state.status
     assert np.all(np.isinf(mesh.bounds(PROBLEM, state.z, COARSE)))
     np.testing.assert_array_equal(state.z[:, :-1], turning[:, :-1])
@@ -112,7 +118,7 @@ def test_a_coarse_solution_is_the_next_guess_on_a_shorter_mesh():
 
 
 def test_a_method_from_an_accurate_guess_starts_once():
-    state, most = restarted(Threshold(0.0, FINE), PROBLEM, GUESS, jnp.array(True))
+    state, most = restarted(Threshold(0.0, FINE), PROBLEM, GUESS, jnp.array(True), jnp.array(False))
     np.testing.assert_array_equal(state.z, GUESS)
     assert np.all(np.isinf(most))
 
