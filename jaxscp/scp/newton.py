@@ -52,6 +52,7 @@ BARRIER_OF_STEP = (
 # The interior point's mesh is free first. Many plans cost nearly the same on other meshes: along such directions it may
 # go on for long. Then the dilation of each node keeps within this factor. A good mesh is kept first, and free then.
 MESH_RATIOS = jnp.inf, 1.3
+SAME_TIME = 1.05  # ratio of flight times, up to which a good mesh still is one
 MERIT_MEMORY = 5  # accepted points whose worst merit a new one must beat
 # On leaving a limit, one round each; the last one is lower: a limit may be left where nothing else helps.
 RESTORATION_PENALTIES = (1e7, 1e7, 1e7, 1e4)
@@ -183,6 +184,7 @@ class NewtonSCP(NewtonSettings):
         """
         start = batching.in_chunks(lambda fixed: self.init(*fixed), (problem, z))
         start = eqx.tree_at(lambda s: s.done, start, ~jnp.asarray(enabled))
+        usual_dilation = jnp.where(keep_mesh, jnp.mean(z[:, -1]), jnp.nan)
 
         def attempt(state, tolerance_factor):
             state = batching.while_loop(
@@ -192,17 +194,17 @@ class NewtonSCP(NewtonSettings):
                 state,
                 batching.CHUNK_OF_LONG_LOOPS,
             )
-            return self.switch_to_interior_point(problem, state, keep_mesh), None
+            return self.switch_to_interior_point(problem, state, usual_dilation), None
 
         end, _ = jax.lax.scan(attempt, start, jnp.array(TOLERANCE_FACTORS))
         restore = lambda problem, state, _: self.restore_dynamics(problem, state)  # noqa: E731
         return batching.where_needed(~end.is_optimum, restore, problem, end)
 
     def switch_to_interior_point(
-        self, problem: ScaledTimeProblem, state: NewtonState, keep_mesh: Flag | bool
+        self, problem: ScaledTimeProblem, state: NewtonState, usual_dilation: Scalar
     ) -> NewtonState:
         """The optimum close to the last iterate, if the interior point finds it; else the state as it is."""
-        found = self._interior_optimum(problem, state, keep_mesh)
+        found = self._interior_optimum(problem, state, usual_dilation)
         z, is_optimum = found.z, found.found
         cost = jnp.sum(evaluate(problem, z, self.grid).cost) + problem.terminal_cost(z)
         return eqx.tree_at(
@@ -234,9 +236,12 @@ class NewtonSCP(NewtonSettings):
         )
 
     def _interior_optimum(
-        self, problem: ScaledTimeProblem, state: NewtonState, keep_mesh: Flag | bool
+        self, problem: ScaledTimeProblem, state: NewtonState, usual_dilation: Scalar
     ) -> _Optimum:
-        """By the interior point: on a free mesh, and else on one near the last iterate's; or the other way round."""
+        """By the interior point: on a free mesh, and else on one near the last iterate's.
+
+        The other way round, if the flight takes the time of a guess with a good mesh (NaN if there is none).
+        """
         # A high barrier would lead a point that is an optimum away from it, and perhaps to another one.
         last = state.history.step_norm[jnp.maximum(state.iterations - 1, 0)]
         mu = jnp.clip(BARRIER_OF_STEP * last**2, self.interior.final_mu, self.interior.initial_mu)
@@ -255,6 +260,8 @@ class NewtonSCP(NewtonSettings):
             return batching.where_needed(state.close_to_optimum & ~found.found, run, fixed, found), None
 
         dilation, none = state.z[:, -1], jnp.zeros((), int)
+        longer = jnp.mean(dilation) / usual_dilation
+        keep_mesh = jnp.maximum(longer, 1.0 / longer) <= SAME_TIME
         ratios = jnp.where(keep_mesh, jnp.array(MESH_RATIOS[::-1]), jnp.array(MESH_RATIOS))[:, None]
         as_it_is = state.z, state.multipliers, state.dilation_least, state.dilation_most
         begun = _Optimum(*as_it_is, jnp.zeros((), bool), none)

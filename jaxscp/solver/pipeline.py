@@ -83,11 +83,13 @@ class Pipeline(eqx.Module):
         scenario = aot.with_arrays(scenario).measured()
         traced = is_traced(elapsed)
         seconds = elapsed if traced else checked_seconds(plan, elapsed)
-        in_flight = jnp.asarray(seconds > 0.0)
+        # Bounds of a kept mesh move with the scenario, which derivatives do not see: where those may be asked for, the
+        # mesh is free.
+        keep_mesh = not is_traced((plan, scenario, elapsed)) and seconds > 0.0
         if traced or seconds > 0.0:
             fixed._check_shapes(scenario)
             plan, scenario, context = rest_of(plan, context, scenario, seconds)
-        found = fixed._from_plan(plan.with_dynamics(None), context, scenario, in_flight)
+        found = fixed._from_plan(plan.with_dynamics(None), context, scenario, jnp.asarray(keep_mesh))
         return better(found, functools.partial(fixed._from_guess, scenario))
 
     @any_rank
