@@ -15,6 +15,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.core import Tracer
 
 from jaxscp.aot import aot, export, planner_cache
@@ -175,6 +176,8 @@ class Pipeline(eqx.Module):
             raise InvalidScenario(f"solution: expected a Solution or a Trajectory, got {_class_of(plan)}.")
         if (axes := plan.state.ndim) != 2:
             raise InvalidScenario(f"solution: expected one plan, got {axes - 2} leading axes; use jax.vmap.")
+        if not is_traced(plan) and not np.all(np.isfinite(plan.state)):
+            raise InvalidScenario("solution: its trajectory holds NaN, as after invalid_input; plan anew.")
         if self.nodes not in (None, plan.nodes):
             raise InvalidScenario(
                 f"solution: its trajectory has {plan.state.shape[0]} nodes, but the planner has {self.nodes}. "

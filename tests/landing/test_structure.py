@@ -141,6 +141,12 @@ def test_a_time_after_the_end_of_the_plan_is_refused():
         PLANNER.replan(path(), ROOM, 4.5)
 
 
+def test_a_plan_of_invalid_input_is_named():
+    nothing = eqx.tree_at(lambda t: t.state, path(), jnp.full_like(path().state, jnp.nan))
+    with pytest.raises(InvalidScenario, match="solution: its trajectory holds NaN"):
+        PLANNER.replan(nothing, ROOM, 0.5)
+
+
 def test_a_stack_of_plans_needs_vmap():
     with pytest.raises(InvalidScenario, match=r"1 leading axes; use jax\.vmap"):
         PLANNER.replan(jax.tree.map(lambda v: jnp.stack([v, v]), path()), ROOM)
