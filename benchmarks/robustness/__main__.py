@@ -23,6 +23,7 @@ PARTS = {
     "units": parts.units,
     "replans": parts.replans,
     "horizon": parts.horizon,
+    "in-flight": parts.in_flight,
 }
 
 
@@ -31,7 +32,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--json", action="store_true", help="print one JSON object, the rest on stderr")
     parser.add_argument(
-        "--count", type=int, default=200, help="chains; re-plans, and a twentieth of the flights"
+        "--count",
+        type=int,
+        default=200,
+        help="chains; re-plans, and a twentieth of the flights, and of the chains of in-flight",
     )
     parser.add_argument("--seed", type=int, default=0, help="of the first chain")
     parser.add_argument(

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -212,6 +213,48 @@ def _flight(scenario: jaxscp.LandingScenario, random: np.random.Generator) -> _F
         )
         plan, age = (new, 0) if converged else (plan, age)
     return found._replace(arrived=found.plans < MOST_TICKS)
+
+
+def in_flight(count: int, seed: int, echo: Echo) -> dict[str, Any]:
+    """Re-plans of an undisturbed flight, measured with noise: time beside a plan, and cost beside a free mesh.
+
+    Inside ``jit`` the mesh is free.
+    """
+    free = jax.jit(lambda plan, scenario, seconds: PLANNER.replan(plan, scenario, seconds))
+    ratios, losses, fell_back = [], [], []
+    for number in range(seed, seed + max(count // 20, 1)):
+        scenario, random = chain(number).scenario, np.random.default_rng([number, 47])
+        plan = PLANNER(scenario)
+        for age in (1, 4, 8):
+            state = np.array(plan.trajectory.at(jnp.array([age * TICK])).state[0])
+            noisy = state[:3] + NOISE * random.normal(size=3) / np.sqrt(3.0)
+            seconds, here = age * TICK, _from(scenario, state, noisy)
+            if not _converged(plan) or seconds > 0.8 * float(plan.final_time):
+                continue
+            again, other = PLANNER.replan(plan, here, seconds), free(plan, here, jnp.asarray(seconds))
+            fell_back.append(bool(again.fell_back))
+            if _converged(again) and _converged(other):
+                losses.append(float(again.cost / other.cost) - 1.0)
+            call = lambda plan=plan, here=here, seconds=seconds: PLANNER.replan(plan, here, seconds)  # noqa: E731
+            ratios.append(_seconds(call) / _seconds(lambda scenario=scenario: PLANNER(scenario)))
+        echo(f"chain {number}: {np.round(ratios[-3:], 2)} of a plan's time")
+    return {
+        "in_flight_over_plan": float(np.median(ratios)),
+        "in_flight_loss_median": float(np.median(losses)),
+        "in_flight_loss_worst": float(np.max(losses)),
+        "in_flight_fell_back": _share(fell_back),
+        "in_flight_replans": len(ratios),
+    }
+
+
+def _seconds(call: Callable[[], jaxscp.Solution]) -> float:
+    """Median time of three calls."""
+    times = []
+    for _ in range(3):
+        began = time.perf_counter()
+        call().cost.block_until_ready()
+        times.append(time.perf_counter() - began)
+    return float(np.median(times))
 
 
 def _from(
