@@ -184,7 +184,7 @@ class NewtonSCP(NewtonSettings):
         """
         start = batching.in_chunks(lambda fixed: self.init(*fixed), (problem, z))
         start = eqx.tree_at(lambda s: s.done, start, ~jnp.asarray(enabled))
-        usual_dilation = jnp.where(keep_mesh, jnp.mean(z[:, -1]), jnp.nan)
+        usual_dilation = jnp.where(keep_mesh, jnp.mean(z[:, -1]), 0.0)
 
         def attempt(state, tolerance_factor):
             state = batching.while_loop(
@@ -240,7 +240,7 @@ class NewtonSCP(NewtonSettings):
     ) -> _Optimum:
         """By the interior point: on a free mesh, and else on one near the last iterate's.
 
-        The other way round, if the flight takes the time of a guess with a good mesh (NaN if there is none).
+        The other way round, if the flight takes the time of a guess with a good mesh (zero if there is none).
         """
         # A high barrier would lead a point that is an optimum away from it, and perhaps to another one.
         last = state.history.step_norm[jnp.maximum(state.iterations - 1, 0)]
