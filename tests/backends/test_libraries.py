@@ -111,5 +111,7 @@ def test_a_call_of_the_c_plus_plus_says_what_it_lacks():
         jax.block_until_ready(eigen(jnp.array(1.0)))
     with pytest.raises(jax.errors.JaxRuntimeError, match="lacks an argument"):
         jax.block_until_ready(eigen())
+    with pytest.raises(jax.errors.JaxRuntimeError, match="or has too many"):
+        jax.block_until_ready(eigen(jnp.eye(2), jnp.eye(2)))
     with pytest.raises(jax.errors.JaxRuntimeError, match="lacks the attribute rank_one"):
         jax.block_until_ready(jax.ffi.ffi_call(libraries.GRAM.targets[0], (matrix, matrix))())

@@ -79,6 +79,10 @@ class Call {
 
   int64_t arguments() const { return frame_.args.size; }
   int64_t results() const { return frame_.rets.size; }
+  void expect(int64_t arguments, int64_t results) const {
+    if (arguments != this->arguments()) throw invalid("a call lacks an argument, or has too many");
+    if (results != this->results()) throw invalid("a call lacks a result, or has too many");
+  }
   Array argument(int64_t i) const {
     if (i >= arguments()) throw invalid("a call lacks an argument");
     return Array(frame_.args.args[i]);
@@ -171,6 +175,7 @@ class Call {
 // Tells XLA for which version of its interface a handler was compiled.
 inline void describe(XLA_FFI_Metadata* about) {
   about->api_version = {XLA_FFI_Api_Version_STRUCT_SIZE, nullptr, XLA_FFI_API_MAJOR, XLA_FFI_API_MINOR};
+  about->traits = 0;
 }
 
 // Answers a call from XLA by act(call).
@@ -181,6 +186,7 @@ inline XLA_FFI_Error* answer(XLA_FFI_CallFrame* frame, void (*act)(Call&)) {
   }
   CallError error;
   try {
+    if (frame->stage != XLA_FFI_ExecutionStage_EXECUTE) throw invalid("a handler was called before its execution");
     Call call(frame);
     act(call);
     return nullptr;

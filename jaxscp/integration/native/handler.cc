@@ -98,6 +98,7 @@ void integrate(Call& call) {
   const IntervalProblem p =
       read_problem(call.numbers<int32_t>("integers").data(), call.numbers<double>("reals").data());
   if (p.stages() > kMaxStages) throw invalid("the Runge-Kutta method has too many stages");
+  call.expect(p.order == 2 ? 4 : 3, 1 + p.order);
   auto argument = [&](int64_t i) { return call.argument(i).numbers<double>(); };
   auto result = [&](int64_t i) { return call.result(i).numbers<double>(); };
   const Array w = call.argument(0);

@@ -61,6 +61,7 @@ void decompose(const double* from, int64_t first, int64_t end, int size, double*
 // Runs act(matrices, first, end, size, first result, second result) for every pack of matrices.
 using Act = void(const double*, int64_t, int64_t, int, double*, double*);
 void by_packs(const Call& call, Act act) {
+  call.expect(1, 2);
   const Array matrices = call.argument(0);
   const int size = matrices.from_last(1);
   if (size == 0) throw invalid("matrices without rows have no eigenvalues");

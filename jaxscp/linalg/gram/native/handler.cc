@@ -15,6 +15,7 @@ Workspace& workspace_of_thread() {
 }
 
 void gram(Call& call) {
+  call.expect(call.arguments(), 2);
   const Array matrix = call.result(0), products = call.result(1);
   const int inputs = products.from_last(1), count = products.from_last(2);
   const int64_t locations = matrix.size() / (inputs * inputs);

@@ -48,7 +48,7 @@ Workspace& workspace_of_thread() {
 }
 
 void factor(Call& call) {
-  if (call.arguments() != 5 || call.results() != 4) throw invalid("the problem lacks an array");
+  call.expect(5, 4);
   const Problems all(call);
   const auto penalty = call.number<double>("penalty");
   parallel_for(call, all.batch, [&](int64_t element) {
@@ -59,7 +59,7 @@ void factor(Call& call) {
 }
 
 void solve(Call& call) {
-  if (call.arguments() != 13 || call.results() != 4) throw invalid("the system lacks an array");
+  call.expect(13, 4);
   const Problems all(call);
   const auto penalty = call.number<double>("penalty");
   const auto refinements = static_cast<int>(call.number<int64_t>("refinements"));
