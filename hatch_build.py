@@ -1,5 +1,6 @@
 """Build hook: compiles the C++ libraries, if there is a C++ compiler."""
 
+import ctypes
 import importlib.util
 import os
 import platform
@@ -30,6 +31,7 @@ X86 = {
 }  # v4: AVX-512; v3: AVX2 and FMA
 ANYWHERE = {"any": ()}
 FLAGS = ("-std=c++20", "-fno-math-errno", "-fPIC", "-Wno-psabi")
+ALL = "JAXSCP_ALL_PROCESSORS"  # environment variable
 FAST = "-O3"
 SOON = "-O1"  # for code that only launches kernels: it compiles in two thirds of the time
 
@@ -45,8 +47,8 @@ class NativeBuild(BuildHookInterface):
         if compiler is None:
             self.app.display_warning("no C++ compiler: jaxscp will run without its C++ libraries, slower")
             return
-        levels = ANYWHERE | (X86 if platform.machine().lower() in ("x86_64", "amd64") else {})
         try:
+            levels = levels_for(version, compiler, Path(self.root))
             libraries = compile_libraries(compiler, Path(self.root), levels)
         except subprocess.CalledProcessError as error:
             self.app.display_warning(
@@ -57,6 +59,28 @@ class NativeBuild(BuildHookInterface):
         # no library refers to Python: one wheel serves every version
         build_data["tag"] = f"py3-none-{re.sub('[-.]', '_', sysconfig.get_platform())}"
         build_data["artifacts"] += [str(library.relative_to(self.root)) for library in libraries]
+
+
+def levels_for(version: str, compiler: str, root: Path) -> dict[str, tuple[str, ...]]:
+    """Instruction sets to compile for: each takes a third of a minute or more.
+
+    An editable installation has them all, as tests need them. An ordinary one has those from AVX2 on that this machine
+    runs, or else the one that runs anywhere. With ``JAXSCP_ALL_PROCESSORS=1`` it has them all, too.
+    """
+    if platform.machine().lower() not in ("x86_64", "amd64"):
+        return ANYWHERE
+    if version == "editable" or os.environ.get(ALL, "0") not in ("", "0"):
+        return ANYWHERE | X86
+    return {level: flags for level, flags in X86.items() if runs_here(compiler, root, level)} or ANYWHERE
+
+
+def runs_here(compiler: str, root: Path, level: str) -> bool:
+    """Whether this machine runs an instruction set, by the function that every library carries."""
+    with tempfile.TemporaryDirectory() as scratch:
+        source, library = root / SHARED / "runs_here.cc", Path(scratch) / "runs_here.so"
+        about = f"-DJAXSCP_LEVEL={level.removeprefix('v')}", '-DJAXSCP_SOURCES=""'
+        run(compiler, *FLAGS, SOON, *about, "-shared", source, "-o", library)
+        return bool(ctypes.CDLL(str(library)).jaxscp_runs_here())
 
 
 class Unit(NamedTuple):

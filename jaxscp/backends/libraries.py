@@ -138,6 +138,11 @@ def level(stem: Path, handler: str, platform: str = "cpu") -> str | None:
             "no compiled C++ is installed, and JAX is up to 13 times slower; install a C++ compiler (GCC 12, Clang 15, "
             "or newer), then jaxscp again"
         )
+    elif all(_opened(stem, name)[1] in (NOT_COMPILED, OTHER_PROCESSORS) for name in LEVELS):
+        warn_slow(
+            "the compiled C++ needs instructions that this processor lacks, and JAX is up to 13 times slower; install "
+            "jaxscp again on this machine"
+        )
     return None
 
 

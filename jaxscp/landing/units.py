@@ -1,7 +1,7 @@
-"""Units of a landing, taken from the landing itself: the solver works on numbers near one at every size.
+"""Units of a landing, taken from the landing itself (``sizes``): the solver works on numbers near one at every size.
 
-In these units gravity is 9.81, the mass is the mass of the paper's vehicle, and the route is eight long. The start is
-the origin, and the goal lies ahead of it. The units have no derivatives: an optimum does not depend on them.
+The start is the origin, and the goal lies ahead of it. The units have no derivatives: an optimum does not depend on
+them.
 """
 
 import dataclasses
@@ -24,16 +24,11 @@ from jaxscp.landing.constraints import (
     within_tilt,
 )
 from jaxscp.landing.mission import BodyState, Ellipsoids, FlightLimits, Mission, Weights
+from jaxscp.landing.sizes import sizes_of
 from jaxscp.problem.multipliers import Multipliers
 from jaxscp.problem.scaled_time import ScaledTimeProblem
 from jaxscp.problem.trajectory import Trajectory
 
-# The solver's own tolerances and weights were tuned on problems of about these sizes.
-ROUTE = 8.0  # length of a route
-VEHICLE = 4.0  # radii of gyration that count as route, for routes of no length
-GRAVITY = 9.81
-MASS = 0.928
-HOVER = 4.55  # norm of the thrusts that carry that mass, for four rotors
 LEVEL = 1e-6  # of the route: horizontal distance of start and goal below which the start's heading counts
 
 
@@ -167,19 +162,8 @@ def _left_product(a: Quaternion) -> Float[Array, "4 4"]:
 def units_of(mission: Mission) -> Units:
     """Units of a mission, without derivatives; its own where it is not valid."""
     mission = jax.lax.stop_gradient(mission)
-    body, start, goal = mission.airframe.body, mission.start.position, mission.goal.position
-    route = jnp.concatenate([start[None], mission.corridor.joints, goal[None]])
-    legs = jnp.diff(route, axis=0)
-    gyration = VEHICLE**2 * jnp.trace(body.inertia) / body.mass
-    length = jnp.sqrt(jnp.sum(jnp.linalg.norm(legs, axis=1)) ** 2 + gyration) / ROUTE
-    gravity = jnp.linalg.norm(body.gravity)
-    time = jnp.sqrt(GRAVITY * length / gravity)
-    mass = body.mass / MASS
-    weights, hover = mission.weights, jnp.linalg.norm(body.hover_thrust())
-    cost = (weights.control * hover + weights.time) * time / HOVER
-    one = jnp.ones((), start.dtype)
-    sizes = [jnp.where(jnp.isfinite(v) & (v > 0.0), v, one) for v in (length, time, mass, cost)]
-    return Units(start, _turn(mission), *sizes)
+    sizes = sizes_of(mission)
+    return Units(mission.start.position, _turn(mission), sizes.length, sizes.time, sizes.mass, sizes.cost)
 
 
 def _turn(mission: Mission) -> Quaternion:

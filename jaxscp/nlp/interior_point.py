@@ -35,9 +35,9 @@ from jaxscp.transcription.shooting import Grid, evaluate
 FRACTION_TO_BOUNDARY = 0.99  # of the way to the cone's boundary that a step may take
 # Times mu: residual below which mu may fall. The first after a Newton step that nothing shortened or corrected; else
 # the tolerance of Waechter and Biegler: a path that is left there is rarely found again at a lower mu.
-BARRIER_TOLERANCE_FACTOR, CAREFUL_FACTOR = 300.0, 10.0
+BARRIER_TOLERANCE_FACTOR, CAREFUL_FACTOR = 1000.0, 30.0
 WHOLE = 0.9  # fraction of a step that counts as all of it
-MAX_STEP = 0.3  # largest step of a variable, in its typical size
+MAX_STEP = 1.5  # largest step of a variable, in its typical size
 MUCH_OF_THE_WAY, LEAST_DAMPING = 0.5, 1.0 / 64.0  # of the last step that a step goes back; factor of a step
 IN_CONES = 1e-6  # KKT residual below which second-order conditions leave the ratio form
 

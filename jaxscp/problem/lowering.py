@@ -62,10 +62,15 @@ def over_scaled_time(
 def _mesh_weight(
     problem: OptimalControlProblem, guess: Trajectory | None, unit: Scalar | float
 ) -> Scalar | None:
-    """Weight of the mesh, for dilations in the solver's unit of time: relative to the duration of the guess."""
-    if isinstance(problem.time.final, FixedTime) or problem.time.mesh_weight is None or guess is None:
+    """Weight of the mesh, for dilations in the solver's unit of time."""
+    time = problem.time
+    if isinstance(time.final, FixedTime) or time.mesh_weight is None:
         return None
-    return problem.time.mesh_weight * (unit / jax.lax.stop_gradient(guess.time[-1])) ** 2
+    if time.mesh_unit is not None:
+        return time.mesh_weight * (unit / time.mesh_unit) ** 2
+    if guess is None:
+        return None
+    return time.mesh_weight * (unit / jax.lax.stop_gradient(guess.time[-1])) ** 2
 
 
 Reading = tuple[Callable[..., Any], int, tuple]

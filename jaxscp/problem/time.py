@@ -5,7 +5,7 @@ from typing import Any
 import equinox as eqx
 from jaxtyping import Array
 
-from jaxscp.core.arrays import floats
+from jaxscp.core.arrays import as_floats, floats
 from jaxscp.core.types import Scalar
 
 MESH_WEIGHT = 3e-4  # cost that is lost to an even mesh, at most
@@ -47,9 +47,10 @@ class Time(eqx.Module):
     Args:
         nodes: N; the trajectory has N - 1 intervals.
         final: ``FreeTime(...)`` or ``FixedTime(...)``.
-        mesh_weight: with a free final time, cost of half the squared change of dt/dtau between neighbours, in units of
-            the guess's duration. Under a constant control all meshes are equally good; this picks an even one. None
-            is no such cost.
+        mesh_weight: with a free final time, cost of half the squared change of dt/dtau between neighbours, in
+            ``mesh_unit``. Many meshes are equally good, or nearly so; this picks an even one. None is no such cost.
+        mesh_unit: unit of time for that cost in s; None is the duration of the guess. With a unit of the problem's own,
+            the optimum and its derivatives do not depend on the guess.
 
     Example:
         >>> import jaxscp
@@ -59,4 +60,5 @@ class Time(eqx.Module):
 
     nodes: int = eqx.field(static=True)
     final: FreeTime | FixedTime
-    mesh_weight: float | None = eqx.field(default=MESH_WEIGHT, static=True)
+    mesh_weight: Scalar | None = eqx.field(converter=as_floats, default=MESH_WEIGHT)
+    mesh_unit: Scalar | None = eqx.field(converter=as_floats, default=None)

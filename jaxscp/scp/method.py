@@ -66,6 +66,10 @@ class Method(Protocol):
         """Whether the loop is over."""
         ...
 
+    def on_the_way(self, state: Any) -> Flag | bool:
+        """Whether the limit of the iterations ended a way that may lead to a solution."""
+        ...
+
     def run(
         self,
         problem: ScaledTimeProblem,

@@ -45,7 +45,7 @@ from jaxscp.transcription.lagrangian import no_multipliers, residual
 from jaxscp.transcription.layout import stage_sizes
 from jaxscp.transcription.shooting import evaluate, linearise, linearise_with_hessian, total_cost
 
-TOLERANCE_FACTORS = (100.0, 1.0)  # times the tolerances, at which the interior point is tried
+TOLERANCE_FACTORS = (1000.0, 1.0)  # times the tolerances, at which the interior point is tried
 BARRIER_OF_STEP = (
     1e-2  # first barrier of the interior point, over the square of the last step, in typical sizes
 )
@@ -169,6 +169,12 @@ class NewtonSCP(NewtonSettings):
     def terminate(self, state: NewtonState) -> Flag:
         """Whether the loop is over."""
         return state.done | (state.iterations >= self.max_iterations)
+
+    def on_the_way(self, state: NewtonState) -> Flag:
+        """Whether the limit of the iterations ended a way on which the subproblems could be solved."""
+        most = self.max_iterations
+        solved = state.history.virtual_control[most - 1] <= self.tolerance_defect
+        return (state.iterations == most) & solved & (state.status != Status.converged)
 
     def run(
         self,

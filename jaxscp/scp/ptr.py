@@ -181,6 +181,10 @@ class PTR(eqx.Module):
         """Whether the loop is over."""
         return state.done | (state.iterations >= self.max_iterations)
 
+    def on_the_way(self, state: PTRState) -> bool:
+        """False: it is meant to stop early."""
+        return False
+
     def run(
         self,
         problem: ScaledTimeProblem,

@@ -5,6 +5,9 @@ subproblem can tell. Most such problems are solved from the same path, flown mor
 flight to a few long intervals, which fixed steps integrate badly: these are solved where no interval may be much longer
 than the guess's. A solution may be an optimum but for the errors of its integration. It is then the next guess, and the
 intervals that were too long are bounded (``mesh``).
+
+In a long curved valley of the cost, the iterations may reach their limit on the way. Where no start leads to a
+solution, they go on from there.
 """
 
 import dataclasses
@@ -55,6 +58,8 @@ class End(eqx.Module):
     """Greatest dilations that held."""
     accurate: Nodes
     """Greatest dilations that its intervals need to be accurate; infinite where they are."""
+    on_the_way: Flag
+    """Whether more iterations may lead to a solution."""
     improves: Flag
     """Whether it may be the guess of a finer mesh: false after it led to nothing."""
 
@@ -62,6 +67,11 @@ class End(eqx.Module):
     def coarse(self) -> Flag:
         """Whether it is a solution, but for the errors of its integration."""
         return (self.state.status == Status.converged) & jnp.any(jnp.isfinite(self.accurate))
+
+    def as_start(self) -> Start:
+        """Its last point, on a mesh that is fine enough."""
+        most, z = jnp.minimum(self.most, self.accurate), self.state.z
+        return Start(z.at[:, -1].min(most), most, jnp.zeros((), bool))
 
     @property
     def failed(self) -> Flag:
@@ -90,10 +100,7 @@ def restarted(
 
     @jax.jit  # traced once
     def run(arrays, start: Start, enabled: Flag) -> End:
-        stated = mesh.bounded(eqx.combine(arrays, rest), start.most)
-        state = method.run(stated, start.z, enabled, start.keep_mesh)
-        accurate = FREE if method.grid is None else mesh.bounds(stated, state.z, method.grid)
-        return End(state, start.most, jnp.full_like(start.most, accurate), jnp.ones((), bool))
+        return _run(method, eqx.combine(arrays, rest), start, enabled)
 
     def from_start(fixed, _, needed: Flag) -> End:
         arrays, start, enabled = fixed
@@ -104,21 +111,32 @@ def restarted(
 
     def attempt(carry: tuple[End, Count], _):
         last, used = carry
-        refine = last.coarse & last.improves
+        refine, go_on = last.coarse & last.improves, last.on_the_way & (used == starts.z.shape[0])
         none_yet, left = used == 0, used < starts.z.shape[0]
         planned = jax.tree.map(lambda v: v[jnp.minimum(used, v.shape[0] - 1)], starts)
         another = left & ~_same(problem, planned, first) & (last.coarse | last.failed)
-        needed = none_yet | (enabled & (refine | another))
-        start = tree_where(refine, _refined(last), planned)
-        fixed = arrays, start, enabled
-        found = batching.where_needed(needed, from_start, fixed, last, batching.CHUNK_AROUND_LOOPS)
+        needed = none_yet | (enabled & (refine | another | go_on))
+        start = tree_where(refine | go_on, last.as_start(), planned)
+        found = batching.where_needed(
+            needed, from_start, (arrays, start, enabled), last, batching.CHUNK_AROUND_LOOPS
+        )
         taken = none_yet | (found.state.status == Status.converged)
         last = dataclasses.replace(last, improves=last.improves & ~(needed & refine))
         return (tree_where(taken, found, last), used + (~refine).astype(int)), None
 
-    begun = End(nothing, first.most, first.most, jnp.zeros((), bool)), jnp.zeros((), int)
+    no = jnp.zeros((), bool)
+    begun = End(nothing, first.most, first.most, no, no), jnp.zeros((), int)
     (end, _), _ = jax.lax.scan(attempt, begun, length=ATTEMPTS)
     return end.state, end.most
+
+
+def _run(method: Any, problem: ScaledTimeProblem, start: Start, enabled: Flag) -> End:
+    """The iterations from a start."""
+    stated = mesh.bounded(problem, start.most)
+    state = method.run(stated, start.z, enabled, start.keep_mesh)
+    accurate = FREE if method.grid is None else mesh.bounds(stated, state.z, method.grid)
+    accurate, yes = jnp.full_like(start.most, accurate), jnp.ones((), bool)
+    return End(state, start.most, accurate, jnp.asarray(method.on_the_way(state)), yes)
 
 
 def slower(
@@ -147,9 +165,3 @@ def _same(problem: ScaledTimeProblem, a: Start, b: Start) -> Flag:
     """Whether two starts are one, because the problem allows no other times."""
     limits = [jnp.broadcast_to(mesh.bounded(problem, s.most).dilation_max, s.most.shape) for s in (a, b)]
     return jnp.all(a.z == b.z) & jnp.all(limits[0] == limits[1])
-
-
-def _refined(last: End) -> Start:
-    """From a solution on a mesh that is too coarse."""
-    most, z = jnp.minimum(last.most, last.accurate), last.state.z
-    return Start(z.at[:, -1].min(most), most, jnp.zeros((), bool))

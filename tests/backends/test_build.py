@@ -2,6 +2,7 @@
 
 import importlib.util
 import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -43,6 +44,40 @@ def test_object_files_of_a_library_have_names_of_their_own(hook):
     for stem, parts in hook.LIBRARIES.items():
         names = [*parts[0], *parts[1], "runs_here"]
         assert len(set(names)) == len(names), stem
+
+
+@pytest.fixture
+def on_x86(hook, monkeypatch):
+    """A function that gives the instruction sets on an x86 machine that runs the given ones."""
+    monkeypatch.setattr(hook.platform, "machine", lambda: "x86_64")
+    monkeypatch.delenv(hook.ALL, raising=False)
+
+    def levels(*running, version="standard"):
+        monkeypatch.setattr(hook, "runs_here", lambda compiler, root, level: level in running)
+        return set(hook.levels_for(version, "c++", ROOT))
+
+    return levels
+
+
+def test_an_installation_compiles_for_its_own_machine(on_x86):
+    assert on_x86("v3", "v4") == {"v3", "v4"}
+    assert on_x86("v3") == {"v3"}
+    assert on_x86() == {"any"}
+
+
+def test_tests_and_wheels_for_other_machines_have_all_instruction_sets(hook, on_x86, monkeypatch):
+    assert on_x86("v3", version="editable") == {"any", "v3", "v4"}
+    monkeypatch.setenv(hook.ALL, "1")
+    assert on_x86("v3") == {"any", "v3", "v4"}
+
+
+def test_the_build_asks_the_processor_as_the_libraries_do(hook):
+    if (compiler := shutil.which("c++")) is None or not libraries.GRAM.level():
+        pytest.skip("needs a C++ compiler and the libraries")
+    for level in hook.X86:
+        assert hook.runs_here(compiler, ROOT, level) == (
+            libraries.library(libraries.GRAM.stem, level) is not None
+        )
 
 
 @pytest.mark.parametrize("file", SOURCES, ids=lambda file: str(file.relative_to(ROOT)))

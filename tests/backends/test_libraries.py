@@ -74,6 +74,17 @@ def copied(tmp_path):
     return lambda: libraries.library.__wrapped__(folder / libraries.GRAM.stem.name, level), folder
 
 
+def test_libraries_for_other_processors_alone_are_named(copied, monkeypatch):
+    _, folder = copied
+    stem = folder / libraries.GRAM.stem.name
+    reasons = {"v4": libraries.OTHER_PROCESSORS}
+    monkeypatch.setattr(
+        libraries, "_opened", lambda _, name: (None, reasons.get(name, libraries.NOT_COMPILED))
+    )
+    with pytest.warns(UserWarning, match="instructions that this processor lacks.* again on this machine"):
+        assert libraries.level.__wrapped__(stem, libraries.GRAM.targets[0]) is None
+
+
 def test_a_library_of_the_present_sources_is_loaded(copied):
     load, folder = copied
     assert libraries.compiled_from(load()) == digest(folder)

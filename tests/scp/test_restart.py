@@ -35,6 +35,10 @@ class Threshold(eqx.Module):
     least: Any
     grid: Any = None
 
+    def on_the_way(self, state):
+        """It takes no step."""
+        return False
+
     def run(self, problem, z, enabled, keep_mesh):
         """The end."""
         enough = jnp.sum(trajectory_of(problem, z).dilation) >= self.least
@@ -47,10 +51,32 @@ class BoundedMesh(eqx.Module):
     limit: Any
     grid: Any
 
+    def on_the_way(self, state):
+        """It takes no step."""
+        return False
+
     def run(self, problem, z, enabled, keep_mesh):
         """The end."""
         short = jnp.all(problem.dilation_max <= self.limit)
         return End(z, Status.where(short & enabled, Status.converged, Status.dynamics_unmet))
+
+
+class LongWay(eqx.Module):
+    """Goes one unit in the first variable at a time, to a solution that is two units away."""
+
+    known: bool = eqx.field(static=True)
+    """Whether it knows that it is on its way."""
+    grid: Any = None
+
+    def on_the_way(self, state):
+        """As long as it has not arrived."""
+        return self.known & (state.status != Status.converged)
+
+    def run(self, problem, z, enabled, keep_mesh):
+        """The end."""
+        z = z.at[0, 0].add(1.0)
+        arrived = z[0, 0] >= GUESS[0, 0] + 1.5
+        return End(z, Status.where(arrived & enabled, Status.converged, Status.dynamics_unmet))
 
 
 def total(z):
@@ -115,6 +141,15 @@ def test_a_coarse_solution_is_the_next_guess_on_a_shorter_mesh():
     np.testing.assert_array_equal(state.z[:, :-1], turning[:, :-1])
     np.testing.assert_array_equal(state.z[:, -1], np.minimum(turning[:, -1], most))
     assert np.isinf(most).any(), "accurate intervals are free"
+
+
+def test_where_no_start_converges_it_goes_on_from_the_first_ones_end():
+    state, _ = restarted(LongWay(known=True), PROBLEM, GUESS, jnp.array(True), jnp.array(False))
+    assert state.status == Status.converged
+    np.testing.assert_array_equal(state.z[0, 0], GUESS[0, 0] + 1.0 + 1.0)
+    state, _ = restarted(LongWay(known=False), PROBLEM, GUESS, jnp.array(True), jnp.array(False))
+    assert state.status == Status.dynamics_unmet
+    np.testing.assert_array_equal(state.z[0, 0], GUESS[0, 0] + 1.0)
 
 
 def test_a_method_from_an_accurate_guess_starts_once():
