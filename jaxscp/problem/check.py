@@ -13,7 +13,7 @@ from jaxscp.problem.bounds import WithinBounds
 from jaxscp.problem.constraint import Constraint
 from jaxscp.problem.errors import InvalidProblem
 from jaxscp.problem.problem import OptimalControlProblem
-from jaxscp.problem.time import FreeTime
+from jaxscp.problem.time import FreeTime, Time
 from jaxscp.problem.trajectory import Trajectory
 
 STEP = 1e-6  # of differences, relative to the argument's size
@@ -120,6 +120,7 @@ def _value(xp: Any, value: Any) -> str:
 
 
 def _rules_of_time(problem: OptimalControlProblem, xp: Any) -> Iterator[Rule]:
+    yield from _rules_of_mesh(problem.time, xp)
     final = problem.time.final
     if not isinstance(final, FreeTime):
         good = (final.duration > 0.0) & xp.isfinite(final.duration)
@@ -141,6 +142,15 @@ def _rules_of_time(problem: OptimalControlProblem, xp: Any) -> Iterator[Rule]:
             (least <= final.upper) & (most >= final.lower),
             "time.final: no final time in its range can be reached with this dilation.",
         )
+
+
+def _rules_of_mesh(time: Time, xp: Any) -> Iterator[Rule]:
+    if (weight := time.mesh_weight) is not None:
+        good = (weight >= 0.0) & xp.isfinite(weight)
+        yield Rule(good, f"time.mesh_weight: must be finite and not negative, is{_value(xp, weight)}.")
+    if (unit := time.mesh_unit) is not None:
+        good = (unit > 0.0) & xp.isfinite(unit)
+        yield Rule(good, f"time.mesh_unit: must be positive and finite, is{_value(xp, unit)}.")
 
 
 def _rules_of_bounds(problem: OptimalControlProblem, c: Constraint, xp: Any) -> Iterator[Rule]:

@@ -5,10 +5,14 @@ from typing import Any
 import equinox as eqx
 from jaxtyping import Array
 
-from jaxscp.core.arrays import as_floats, floats
+from jaxscp.core.arrays import floats
 from jaxscp.core.types import Scalar
 
 MESH_WEIGHT = 3e-4  # cost that is lost to an even mesh, at most
+
+
+def _number(value: Any) -> Array | None:
+    return None if value is None else floats(value)
 
 
 def _pair(value: Any) -> tuple[Array, Array] | None:
@@ -60,5 +64,5 @@ class Time(eqx.Module):
 
     nodes: int = eqx.field(static=True)
     final: FreeTime | FixedTime
-    mesh_weight: Scalar | None = eqx.field(converter=as_floats, default=MESH_WEIGHT)
-    mesh_unit: Scalar | None = eqx.field(converter=as_floats, default=None)
+    mesh_weight: Scalar | None = eqx.field(converter=_number, default=MESH_WEIGHT)
+    mesh_unit: Scalar | None = eqx.field(converter=_number, default=None)

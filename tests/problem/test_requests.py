@@ -196,6 +196,21 @@ WRONG = {
         GUESS,
         r"no final time in its range can be reached with this dilation",
     ),
+    "a mesh that is paid for": (
+        lambda: problem(time=js.Time(5, js.FreeTime(1.0, 2.0), mesh_weight=-1e-3)),
+        GUESS,
+        r"time\.mesh_weight: must be finite and not negative, is -0\.001",
+    ),
+    "a mesh without a unit": (
+        lambda: problem(time=js.Time(5, js.FreeTime(1.0, 2.0), mesh_unit=0.0)),
+        GUESS,
+        r"time\.mesh_unit: must be positive and finite, is 0",
+    ),
+    "a unit of the mesh for each node": (
+        lambda: problem(time=js.Time(5, js.FreeTime(1.0, 2.0), mesh_unit=np.ones(5))),
+        GUESS,
+        r"time\.mesh_unit: expected one number, got shape \(5,\)",
+    ),
     "one node": (
         lambda: problem(time=js.Time(1, js.FixedTime(2.0))),
         GUESS,
