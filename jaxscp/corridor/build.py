@@ -204,6 +204,13 @@ def _prepared(
     """The thinned cloud without gaps or removed regions, the decks in it, and the longest gap closed, metres."""
     thinned = cloud if options.voxel is None else cloud.thinned(options.voxel)
     closed, gap = with_closed_gaps(thinned, radius) if options.close_gaps else (thinned, 0.0)
+    if gap:
+        warnings.warn(
+            f"the map is sparse: neighbouring points of its surfaces are up to {gap:.2g} m apart, and a vehicle of "
+            f"radius {radius:g} m passes between them. Such gaps count as walls here, and wider ones as openings: scan "
+            "more densely, or look at the route",
+            stacklevel=3,
+        )
     if not options.remove:
         return closed, (None, None), gap
     if gap:

@@ -1,5 +1,7 @@
 """The files of the folder of cases: each gives a corridor clear of every solid part, or says why it gives none."""
 
+import contextlib
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,8 @@ from .conftest import GOAL, START, depth_in_solid
 
 pytest.importorskip("skimage", reason="needs the extra clouds")
 FAR = (447300.0, 5412100.0, 310.0)
+SPARSE = "hall_version_5.pcd", "hall_sparse.xyz"
+"""Points farther apart than a vehicle of 25 cm is wide."""
 
 
 @pytest.mark.parametrize(
@@ -32,8 +36,13 @@ def test_the_corridor_leads_through_the_gap(case, name, reading):
     for suffix, library in ((".pcd", "pypcd4"), (".ply", "plyfile"), (".obj", "trimesh")):
         if path.suffix == suffix:
             pytest.importorskip(library, reason="needs the extra clouds")
-    result = build_corridor(read_cloud(path, **reading), START, GOAL, 0.25)
+    sparse = pytest.warns(
+        UserWarning, match=r"sparse: .* up to \d\.\d+ m apart, and a vehicle of radius 0\.25 m"
+    )
+    with sparse if name in SPARSE else contextlib.nullcontext():
+        result = build_corridor(read_cloud(path, **reading), START, GOAL, 0.25)
     assert result.found, result.message
+    assert (result.closed_gap > 0.0) == (name in SPARSE)
     assert result.corridor is not None
     assert depth_in_solid(result.corridor) < 0.0
     assert result.route.points[:, 1].max() > 1.6

@@ -97,7 +97,8 @@ def test_an_end_in_a_closed_gap_is_told_why():
     wall = np.array([[3.0, y, z] for y in np.arange(-4, 4, 0.5) for z in np.arange(0, 4, 0.5)])
     start, goal = [3.0, 0.25, 1.75], [0.0, 0.0, 1.5]
     around = {"lower": [-1, -4, 0], "upper": [6, 4, 4]}
-    with pytest.raises(ValueError, match=r"start \(3, 0\.25, 1\.75\) is .*gaps of up to .*close_gaps=False"):
+    told = pytest.raises(ValueError, match=r"start \(3, 0\.25, 1\.75\) is .*gaps of up to .*close_gaps=False")
+    with pytest.warns(UserWarning, match=r"up to 0\.71 m apart.* wider ones as openings"), told:
         build_corridor(wall, start, goal, RADIUS, **around)
     left_open = build_corridor(wall, start, goal, RADIUS, clearance=0.05, close_gaps=False, **around)
     assert left_open.found
