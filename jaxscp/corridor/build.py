@@ -30,7 +30,7 @@ from jaxscp.corridor.clouds import PointCloud
 from jaxscp.corridor.decks import Deck, obstacles_of_leg, split_decks
 from jaxscp.corridor.decompose import Cell, Decomposition, InflationFIRI
 from jaxscp.corridor.extent import Triple
-from jaxscp.corridor.gaps import with_closed_gaps
+from jaxscp.corridor.gaps import text_of_closed, with_closed_gaps
 from jaxscp.corridor.limits import Limits, flyable
 from jaxscp.corridor.map_report import MapError, MapReport, map_report
 from jaxscp.corridor.obstacles import Obstacles, padded_obstacles
@@ -205,12 +205,7 @@ def _prepared(
     thinned = cloud if options.voxel is None else cloud.thinned(options.voxel)
     closed, gap = with_closed_gaps(thinned, radius) if options.close_gaps else (thinned, 0.0)
     if gap:
-        warnings.warn(
-            f"the map is sparse: neighbouring points of its surfaces are up to {gap:.2g} m apart, and a vehicle of "
-            f"radius {radius:g} m passes between them. Such gaps count as walls here, and wider ones as openings: scan "
-            "more densely, or look at the route",
-            stacklevel=3,
-        )
+        warnings.warn(text_of_closed(gap, radius), stacklevel=3)
     if not options.remove:
         return closed, (None, None), gap
     if gap:

@@ -80,6 +80,15 @@ def with_closed_gaps(cloud: PointCloud, radius: float) -> tuple[PointCloud, floa
     return PointCloud(closed, cloud.spread, cloud.dropped, cloud.provenance), longest
 
 
+def text_of_closed(longest: float, radius: float) -> str:
+    """Warning of gaps that were closed, the longest of them given."""
+    return (
+        f"the map is sparse: neighbouring points of its surfaces are up to {longest:.2g} m apart, and a vehicle of radius "
+        f"{radius:g} m passes between them. Such gaps count as walls here, and wider ones as openings: scan more "
+        "densely, or look at the route"
+    )
+
+
 def _typical_hole(points: Points, radius: float) -> float:
     """Radius of the holes to close, metres; zero where the map is not sparse, or no surface."""
     sample = np.random.default_rng(0).permutation(len(points))[:_SAMPLE]
