@@ -83,9 +83,9 @@ def with_closed_gaps(cloud: PointCloud, radius: float) -> tuple[PointCloud, floa
 def text_of_closed(longest: float, radius: float) -> str:
     """Warning of gaps that were closed, the longest of them given."""
     return (
-        f"the map is sparse: neighbouring points of its surfaces are up to {longest:.2g} m apart, and a vehicle of radius "
-        f"{radius:g} m passes between them. Such gaps count as walls here, and wider ones as openings: scan more "
-        "densely, or look at the route"
+        f"the map is sparse: neighbouring points of its surfaces are up to {longest:.2g} m apart, and a vehicle of "
+        f"radius {radius:g} m passes between them. Such gaps count as walls here, and wider ones as openings: scan "
+        "more densely, or look at the route"
     )
 
 

@@ -37,16 +37,16 @@ def sizes_of(mission: Mission) -> MissionSizes:
     route = jnp.concatenate([start[None], mission.corridor.joints, goal[None]])
     gyration = VEHICLE**2 * jnp.trace(body.inertia) / body.mass
     length = jnp.sqrt(jnp.sum(_lengths(jnp.diff(route, axis=0))) ** 2 + gyration) / ROUTE
-    gravity = jnp.linalg.norm(body.gravity)
-    time = jnp.sqrt(GRAVITY * length / gravity)
-    weights, hover = mission.weights, jnp.linalg.norm(body.hover_thrust())
+    gravity, hover = _lengths(body.gravity[None])[0], _lengths(body.hover_thrust()[None])[0]
+    falls, weights = gravity > 0.0, mission.weights
+    time = jnp.where(falls, jnp.sqrt(GRAVITY * length / jnp.where(falls, gravity, 1.0)), 1.0)
     cost = (weights.control * hover + weights.time) * time / HOVER
     one = jnp.ones((), start.dtype)
     sizes = length, time, body.mass / MASS, cost
     return MissionSizes(*(jnp.where(jnp.isfinite(v) & (v > 0.0), v, one) for v in sizes))
 
 
-def _lengths(vectors: Float[Array, "vectors 3"]) -> Float[Array, "vectors"]:
+def _lengths(vectors: Float[Array, "vectors size"]) -> Float[Array, "vectors"]:
     """Lengths, with derivatives of zero at zero."""
     squares = jnp.sum(vectors**2, axis=1)
     some = squares > 0.0

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -67,6 +68,19 @@ def test_derivatives_are_finite_where_a_leg_of_the_route_has_no_length(scenario)
     slopes = jax.grad(factor, argnums=(0, 1))(scenario.start.position, scenario.goal.position)
     assert bool(jnp.all(jnp.isfinite(jnp.concatenate(slopes))))
     assert bool(jnp.any(slopes[0] != 0.0))
+
+
+def test_derivatives_are_finite_without_gravity(scenario):
+    """There is no time of a fall then: it is one."""
+    floating = eqx.tree_at(lambda s: s.airframe.body.gravity, scenario, jnp.zeros(3))
+
+    def factor(start):
+        there = dataclasses.replace(floating.start, position=start)
+        return mesh_cost_factor(dataclasses.replace(floating, start=there))
+
+    value, slope = jax.value_and_grad(factor)(floating.start.position)
+    assert float(value) > 0.0
+    assert bool(jnp.all(jnp.isfinite(slope)))
 
 
 def test_an_even_mesh_costs_little(scenario):
