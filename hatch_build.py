@@ -77,9 +77,12 @@ def levels_for(version: str, compiler: str, root: Path) -> dict[str, tuple[str, 
 def runs_here(compiler: str, root: Path, level: str) -> bool:
     """Whether this machine runs an instruction set, by the function that every library carries."""
     with tempfile.TemporaryDirectory() as scratch:
-        source, library = root / SHARED / "runs_here.cc", Path(scratch) / "runs_here.so"
-        about = f"-DJAXSCP_LEVEL={level.removeprefix('v')}", '-DJAXSCP_SOURCES=""'
-        run(compiler, *FLAGS, SOON, *about, "-shared", source, "-o", library)
+        unit, library = (
+            about_itself(root, Path(scratch) / "runs_here.o", level, ""),
+            Path(scratch) / "runs_here.so",
+        )
+        compile_unit(compiler, root, unit)
+        run(compiler, "-shared", unit.output, "-o", library)
         return bool(ctypes.CDLL(str(library)).jaxscp_runs_here())
 
 
@@ -115,17 +118,21 @@ def compile_libraries(compiler: str, root: Path, levels: dict[str, tuple[str, ..
 
 
 def units_of_level(root: Path, stem: Path, scratch: Path, level: str, machine: tuple[str, ...]) -> list[Unit]:
-    """Sources of a library that are compiled for each instruction set.
-
-    ``runs_here.cc`` asks the processor for its instructions, so it is compiled for any processor. It also carries the
-    digest of the sources.
-    """
+    """Sources of a library that are compiled for each instruction set."""
     folder = root / stem.parent
     output = lambda name: scratch / f"{stem.name}_{name}_{level}.o"  # noqa: E731
     units = [Unit(folder / f"{name}.cc", output(name), (FAST, *machine)) for name in LIBRARIES[stem][0]]
-    number = level.removeprefix("v") if machine else "0"
-    about = f"-DJAXSCP_LEVEL={number}", f'-DJAXSCP_SOURCES="{digest_of_sources(root)(folder)}"'
-    return [*units, Unit(root / SHARED / "runs_here.cc", output("runs_here"), (SOON, *about))]
+    return [*units, about_itself(root, output("runs_here"), level, digest_of_sources(root)(folder))]
+
+
+def about_itself(root: Path, output: Path, level: str, digest: str) -> Unit:
+    """The source that tells of a library whether it runs here, and the digest of its sources.
+
+    It asks the processor for its instructions, so it is compiled for any processor.
+    """
+    number = level.removeprefix("v") if level in X86 else "0"
+    about = f"-DJAXSCP_LEVEL={number}", f'-DJAXSCP_SOURCES="{digest}"'
+    return Unit(root / SHARED / "runs_here.cc", output, (SOON, *about))
 
 
 def units_of_any(root: Path, stem: Path, scratch: Path) -> list[Unit]:

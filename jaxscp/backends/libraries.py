@@ -133,12 +133,13 @@ def level(stem: Path, handler: str, platform: str = "cpu") -> str | None:
     for name in LEVELS:
         if (found := library(stem, name)) is not None:
             return name if register(found, handler, platform) else None
-    if not any(_file(stem, name).exists() for name in LEVELS):
+    reasons = {_opened(stem, name)[1] for name in LEVELS}
+    if reasons == {NOT_COMPILED}:
         warn_slow(
             "no compiled C++ is installed, and JAX is up to 13 times slower; install a C++ compiler (GCC 12, Clang 15, "
             "or newer), then jaxscp again"
         )
-    elif all(_opened(stem, name)[1] in (NOT_COMPILED, OTHER_PROCESSORS) for name in LEVELS):
+    elif reasons <= {NOT_COMPILED, OTHER_PROCESSORS}:
         warn_slow(
             "the compiled C++ needs instructions that this processor lacks, and JAX is up to 13 times slower; install "
             "jaxscp again on this machine"

@@ -20,7 +20,7 @@ TYPICAL_TIME = 2.2  # of a flight
 
 
 class MissionSizes(eqx.Module):
-    """What is one in the solver's units."""
+    """Sizes that the solver takes as its units."""
 
     length: Scalar
     """m"""
