@@ -40,11 +40,11 @@ from jaxscp.corridor import (
     read_cloud,
     synthetic_maps,
 )
-from jaxscp.corridor.build import legs
 from jaxscp.corridor.cells import cells_along, consecutive_overlaps
 from jaxscp.corridor.decompose import Seed
 from jaxscp.corridor.ellipsoids import Columns, around_segment
 from jaxscp.corridor.halfspaces import Cuts, Keep, cut_away
+from jaxscp.corridor.route import legs
 from jaxscp.corridor.shapes import needed_faces, volume
 from jaxscp.landing.scenarios import through
 

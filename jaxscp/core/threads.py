@@ -44,12 +44,7 @@ def in_order(
     if workers == 1:
         yield from map(function, items)
         return
-    double, device = double_precision(), jax.config.jax_default_device  # pyright: ignore[reportAttributeAccessIssue]
-
-    def act(item: Item) -> Result:
-        with jax.enable_x64(double), jax.default_device(device):  # settings of a thread
-            return function(item)
-
+    act = _with_settings(function)
     pool = concurrent.futures.ThreadPoolExecutor(workers, "jaxscp")
     pending: collections.deque[Any] = collections.deque()
     most = in_flight or IN_FLIGHT * workers
@@ -62,3 +57,30 @@ def in_order(
             yield pending.popleft().result()
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
+
+
+def beside(function: Callable[[], Result]) -> "concurrent.futures.Future[Result]":
+    """Call a function in another thread, with this thread's precision and default device.
+
+    Example:
+        >>> from jaxscp.core.threads import beside
+        >>> beside(lambda: 2 + 3).result()
+        5
+    """
+    act = _with_settings(lambda _: function())
+    pool = concurrent.futures.ThreadPoolExecutor(1, "jaxscp")
+    try:
+        return pool.submit(act, None)
+    finally:
+        pool.shutdown(wait=False)
+
+
+def _with_settings(function: Callable[[Item], Result]) -> Callable[[Item], Result]:
+    """The function, for other threads: JAX's settings belong to a thread."""
+    double, device = double_precision(), jax.config.jax_default_device  # pyright: ignore[reportAttributeAccessIssue]
+
+    def act(item: Item) -> Result:
+        with jax.enable_x64(double), jax.default_device(device):
+            return function(item)
+
+    return act

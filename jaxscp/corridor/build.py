@@ -16,7 +16,6 @@ points of it count as obstacles for all legs but the one from there, which does 
 
 import warnings
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import Any
 
 import equinox as eqx
@@ -37,8 +36,9 @@ from jaxscp.corridor.obstacles import Obstacles, padded_obstacles
 from jaxscp.corridor.padding import pad as pad
 from jaxscp.corridor.polytope import Polytope
 from jaxscp.corridor.polytopes import Corridor
+from jaxscp.corridor.precompile import precompile
 from jaxscp.corridor.pruning import Segments, chosen, packed, without_redundant
-from jaxscp.corridor.route import NoRoute, Route, find_route
+from jaxscp.corridor.route import NoRoute, Route, find_route, legs
 from jaxscp.corridor.search_space import nearest_on_segment
 
 _HALVINGS = 3
@@ -133,8 +133,7 @@ def build_corridor(
 ) -> CorridorResult:
     """Safe flight corridor from start to goal through a point cloud.
 
-    No polytope comes nearer than ``radius`` to a point of the cloud as it was given. The docstring of
-    ``jaxscp.corridor.build`` explains the steps, the limits and the decks.
+    No polytope comes nearer than ``radius`` to a point of the cloud. Steps, limits, decks: see ``jaxscp.corridor.build``.
 
     Args:
         cloud: obstacles, or their positions as an array, (points, 3), metres; an empty one is free space.
@@ -160,6 +159,7 @@ def build_corridor(
     """
     settings, cloud = CorridorOptions(**options), PointCloud.at(cloud)
     first, last = _point("start", start), _point("goal", goal)
+    ready = precompile(settings.method, cloud.count)
     report = _accepted(map_report(cloud, first, last, radius, lower=settings.lower, upper=settings.upper))
     limits = settings.limits(cloud, first, last, radius)
     thinned, decks, gap = _prepared(settings, cloud, (first, last), radius)
@@ -169,14 +169,14 @@ def build_corridor(
     if isinstance(route, NoRoute):
         return _without_route(route, report, gap)
     seeds = legs(route.points, settings.longest)
+    ready()
     cells = _cells(settings, seeds, thinned, decks, radius, limits)
     rows, balls = without_redundant(cells.polytope, settings.clearance)
     corridor = packed(chosen(cells.polytope, rows), seeds[rows], balls[:, :3])
     status, message = _verdict(cells.left, balls[:, 3], settings.clearance, corridor.count)
-    padded = pad(corridor, last, settings.polytopes, settings.faces)
     on_deck = np.any([np.zeros(thinned.count, bool), *(deck.freed for deck in decks if deck)], axis=0)
-    reach = radius + settings.clearance
-    near = padded_obstacles(corridor, thinned, reach, on_deck, settings.near_points)
+    near = padded_obstacles(corridor, thinned, radius + settings.clearance, on_deck, settings.near_points)
+    padded = pad(corridor, last, settings.polytopes, settings.faces)
     return CorridorResult(padded, route, status, message, seeds[rows], balls[:, 3], report, gap, near)
 
 
@@ -218,21 +218,6 @@ def _point(name: str, value: Triple) -> Float[np.ndarray, "3"]:
     if point.shape != (3,):
         raise ValueError(f"{name} must be three coordinates in metres, got shape {point.shape}")
     return point
-
-
-def legs(route: Float[np.ndarray, "vertices 3"], longest: float) -> Segments:
-    """Legs of a polyline, those longer than ``longest`` metres cut into equal parts.
-
-    Example:
-        >>> legs(np.array([[0.0, 0, 0], [4.0, 0, 0]]), 3.0)[:, :, 0].tolist()
-        [[0.0, 2.0], [2.0, 4.0]]
-    """
-    parts = []
-    for start, end in pairwise(route):
-        count = max(1, int(np.ceil(np.linalg.norm(end - start) / longest)))
-        ways = start + np.linspace(0.0, 1.0, count + 1)[:, None] * (end - start)
-        parts.append(np.stack([ways[:-1], ways[1:]], axis=1))
-    return np.concatenate(parts)
 
 
 def _cells(

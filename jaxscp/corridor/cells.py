@@ -16,9 +16,9 @@ from jaxscp.corridor.polytope import Polytope
 from jaxscp.corridor.polytopes import Corridor
 
 _LEGS_A_CALL = 4
-_SMALLEST_BUCKET = 4096
+_SMALLEST_BUCKET = 16384
 """Points that each leg of a call is padded to, or a power of four times as many. To compile a size takes seconds; to
-pass over padding takes a millisecond."""
+pass over padding takes milliseconds."""
 _MARGIN = 1e-3
 """How much farther than its box the host looks for a segment's points, metres."""
 

@@ -206,24 +206,23 @@ class InflationFIRI(Decomposition):
     ) -> Cuts:
         """See ``Decomposition.separate``."""
 
-        def lay(metric: Ellipsoid) -> Cuts:
-            return cut_away(points, active, metric, seed.half, Keep(radius, clearance), self.planes, turn)
-
         def largest(cuts: Cuts) -> tuple[Ellipsoid, Float[Array, ""]]:
             normals = jnp.concatenate([cuts.normals, walls.normals])
             offsets = jnp.concatenate([cuts.offsets, walls.offsets])
             return inside_polytope(normals, offsets, jnp.zeros(3, points.dtype))
 
+        def lay_again(count: Int[Array, ""], best: tuple[Ellipsoid, Cuts, Float[Array, ""]]):
+            metric, cuts, volume = best
+            laid = cut_away(points, active, metric, seed.half, Keep(radius, clearance), self.planes, turn)
+            ellipsoid, grown = largest(laid)
+            # A cell whose face touches the segment's middle has no ellipsoid: keep to the earlier one.
+            ellipsoid = tree_where(jnp.isfinite(grown), ellipsoid, metric)
+            better = (count == 0) | ((grown > volume) & (laid.left <= cuts.left))
+            return tree_where(better, (ellipsoid, laid, grown), best)
+
         first = around_segment(points, active, jnp.maximum(seed.half, _SHORTEST))
-        best = lay(first)
-        ellipsoid, volume = largest(best)
-        # A cell whose face touches the segment's middle has no ellipsoid: keep to the first.
-        ellipsoid = tree_where(jnp.isfinite(volume), ellipsoid, first)
-        for _ in range(self.rounds - 1):
-            cuts = lay(ellipsoid)
-            grown, grown_volume = largest(cuts)
-            better = (grown_volume > volume) & (cuts.left <= best.left)
-            best = tree_where(better, cuts, best)
-            ellipsoid = tree_where(better, grown, ellipsoid)
-            volume = jnp.where(better, grown_volume, volume)
-        return best
+        dtype = points.dtype
+        nothing = Cuts(jnp.zeros((self.planes, 3), dtype), jnp.ones(self.planes, dtype), jnp.zeros((), jnp.int32))
+        begun = (first, nothing, jnp.zeros((), dtype))
+        # A loop, so that a round is compiled once.
+        return jax.lax.fori_loop(0, self.rounds, lay_again, begun)[1]

@@ -188,3 +188,18 @@ def _furthest(here: int, last: int, may_skip: Callable[[int, int], bool]) -> int
 def _measured(points: Waypoints, space: Space, spread: float, cell: float) -> Route:
     distances = [space.to_segment(a, b) - spread for a, b in pairwise(points)]
     return Route(points, np.array(distances), cell)
+
+
+def legs(route: Float[np.ndarray, "vertices 3"], longest: float) -> Float[np.ndarray, "legs 2 3"]:
+    """Legs of a polyline, those longer than ``longest`` metres cut into equal parts.
+
+    Example:
+        >>> legs(np.array([[0.0, 0, 0], [4.0, 0, 0]]), 3.0)[:, :, 0].tolist()
+        [[0.0, 2.0], [2.0, 4.0]]
+    """
+    parts = []
+    for start, end in pairwise(route):
+        count = max(1, int(np.ceil(np.linalg.norm(end - start) / longest)))
+        ways = start + np.linspace(0.0, 1.0, count + 1)[:, None] * (end - start)
+        parts.append(np.stack([ways[:-1], ways[1:]], axis=1))
+    return np.concatenate(parts)

@@ -19,9 +19,9 @@ from jaxscp.corridor import (
     pad,
     synthetic_maps,
 )
-from jaxscp.corridor.build import legs
 from jaxscp.corridor.cells import cells_along
 from jaxscp.corridor.overlaps import deepest_ball, intersect
+from jaxscp.corridor.route import legs
 from jaxscp.corridor.shapes import needed_faces, vertices, volume
 
 pytest.importorskip("skimage", reason="needs the extra clouds")
