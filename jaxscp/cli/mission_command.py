@@ -13,21 +13,21 @@ from jaxscp.cli.endings import check_platform, refusals
 from jaxscp.cli.map_options import finite, known, one_of
 from jaxscp.cli.requests import CACHE, JSON, writable
 from jaxscp.core.extras import of_extra
-from jaxscp.mission import FIELDS
+from jaxscp.mission import FIELDS, MOST_DECK_SPEED, MOST_SEED, MOST_WIND
 
 if TYPE_CHECKING:
     from jaxscp.mission import Mission
 
 _FIELD = typer.Argument(callback=known(FIELDS, "field"), metavar="FIELD", help=one_of(FIELDS))
 _SEED = typer.Option(
-    min=0, help="Seed of obstacles, vehicle, air and noise; the same seed flies the same mission."
+    min=0, max=MOST_SEED, help="Seed of obstacles, vehicle, air and noise; the same seed flies the same mission."
 )
 _WIND = typer.Option(
-    min=0.0, max=15.0, callback=finite, metavar="SPEED", help="Mean wind, m/s; drawn by default."
+    min=0.0, max=MOST_WIND, callback=finite, metavar="SPEED", help="Mean wind, m/s; drawn by default."
 )
 _DECK = typer.Option(
     min=0.0,
-    max=1.0,
+    max=MOST_DECK_SPEED,
     callback=finite,
     metavar="SPEED",
     help="Of the deck in the landing, m/s; drawn by default.",

@@ -67,7 +67,7 @@ class Status(eqx.Enumeration):
     )
     invalid_input = (
         "The scenario is not valid: a value is not finite, or start, goal, corridor or limits contradict each other. "
-        "Call jaxscp.validate(scenario, nodes) outside jit and vmap for the field and the cause."
+        "Call jaxscp.validate(scenario) outside jit and vmap for the field and the cause."
     )
 
 

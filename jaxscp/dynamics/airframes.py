@@ -60,6 +60,7 @@ def multirotor(**numbers: Unpack[MultirotorNumbers]) -> Airframe:
 
     Raises:
         TypeError: if a number is missing, or a name is unknown.
+        ValueError: if ``inertia`` is neither three moments nor a matrix.
 
     Example:
         >>> from jaxscp import airframes
@@ -77,16 +78,24 @@ def multirotor(**numbers: Unpack[MultirotorNumbers]) -> Airframe:
     sideways = np.stack([-np.sin(angle), np.cos(angle), np.zeros(rotors)])
     axis = xp.sin(spin * tilt) * sideways + xp.cos(tilt) * np.array([[0.0], [0.0], [1.0]])
     torque = xp.cross(position, axis, axis=0) + torque_ratio * spin * axis
-    inertia = xp.asarray(numbers["inertia"], float)
     body = RigidBody(
         mass=floats(numbers["mass"]),
-        inertia=floats(xp.diag(inertia) if inertia.ndim == 1 else inertia),
+        inertia=_inertia_matrix(numbers["inertia"], xp),
         thrust_map=floats(axis),
         torque_map=floats(torque),
         gravity=floats([0.0, 0.0, -GRAVITY]),
     )
     least, most = (floats(xp.full(rotors, limit)) for limit in (numbers["thrust_min"], numbers["thrust_max"]))
     return Airframe(body, least, most, floats(numbers.get("radius", arm)))
+
+
+def _inertia_matrix(inertia: Any, xp: Any) -> Float[Array, "3 3"]:
+    moments = xp.asarray(inertia, float)
+    if moments.shape not in ((3,), (3, 3)):
+        raise ValueError(
+            f"inertia: expected three principal moments or a 3 x 3 matrix, got shape {moments.shape}"
+        )
+    return floats(xp.diag(moments) if moments.ndim == 1 else moments)
 
 
 def _check_names(numbers: Mapping[str, Any]) -> None:

@@ -9,16 +9,15 @@ from jaxtyping import Array, Int
 
 from jaxscp.core import pytree_file
 from jaxscp.core.types import Flag, Scalar
-from jaxscp.landing.allocation import allocate, usual_nodes
+from jaxscp.landing.allocation import allocate
 from jaxscp.landing.guess import initial_guess
 from jaxscp.landing.mission import PARTS, Mission
 from jaxscp.landing.passed import present_place, without_passed
 from jaxscp.landing.places import Places, ends_route, fits, leg_of, places_on
 from jaxscp.landing.problem import landing_problem
 from jaxscp.landing.recovery import RECOVERY, starts_outside
-from jaxscp.landing.structure import check_parts
 from jaxscp.landing.units import Units, in_units, units_of
-from jaxscp.landing.validation import check_types, valid, validate
+from jaxscp.landing.validation import check_types, nodes_of, valid, validate
 from jaxscp.landing.warm_guess import warm_guess
 from jaxscp.problem.errors import InvalidScenario
 from jaxscp.problem.form import Continuous, Form
@@ -92,9 +91,7 @@ class LandingScenario(Mission):
 
     def usual_nodes(self) -> int:
         """Nodes for the legs of its route, by its shape alone: polytopes and gates."""
-        check_parts(self)
-        gates = 0 if self.gates is None else self.gates.centres.shape[0]
-        return usual_nodes(self.corridor.offsets.shape[0] + gates)
+        return nodes_of(self)
 
     def measured(self) -> "LandingScenario":
         """The same; its start may lie a little outside of walls, zones and limits."""

@@ -7,6 +7,7 @@ import numpy as np
 from jaxscp.core.arrays import PRECISION, double_precision
 from jaxscp.core.trees import named_leaves
 from jaxscp.core.types import Flag
+from jaxscp.landing.allocation import usual_nodes
 from jaxscp.landing.mission import Mission
 from jaxscp.landing.rules import Rule, rules
 from jaxscp.landing.structure import check_parts
@@ -15,18 +16,24 @@ from jaxscp.problem.errors import InvalidScenario
 _MASKS = ("near_obstacles.present", "near_obstacles.deck")
 
 
-def validate(scenario: Mission, nodes: int) -> None:
+def validate(scenario: Mission, nodes: int | None = None) -> None:
     """Raise ``InvalidScenario`` unless every rule holds. Compiles nothing.
+
+    Args:
+        scenario: a landing.
+        nodes: of its plan; by default as many as ``Planner()`` takes.
 
     Example:
         >>> import equinox as eqx, jax.numpy as jnp, jaxscp
         >>> scenario = jaxscp.scenarios.platform_to_platform()
         >>> heavy = eqx.tree_at(lambda s: s.airframe.body.mass, scenario, jnp.array(40.0))
-        >>> jaxscp.validate(heavy, nodes=30)
+        >>> jaxscp.validate(heavy)
         Traceback (most recent call last):
         ...
         jaxscp.problem.errors.InvalidScenario: airframe: the rotors cannot carry the weight ...
     """
+    if nodes is None:
+        nodes = nodes_of(scenario)
     check_types(scenario, nodes)
     concrete = jax.tree.map(np.asarray, scenario)
     broken = [rule.message for rule in _finite(concrete, np) if not rule.holds]
@@ -34,6 +41,13 @@ def validate(scenario: Mission, nodes: int) -> None:
         broken = [rule.message for rule in rules(concrete, np) if not rule.holds]
     if broken:
         raise InvalidScenario("\n".join(broken))
+
+
+def nodes_of(scenario: Mission) -> int:
+    """Usual nodes for the legs of a route, by the scenario's shape alone: polytopes and gates."""
+    check_parts(scenario)
+    gates = 0 if scenario.gates is None else scenario.gates.centres.shape[0]
+    return usual_nodes(scenario.corridor.offsets.shape[0] + gates)
 
 
 def valid(scenario: Mission) -> Flag:

@@ -5,6 +5,9 @@ from .cases import Choices as Choices
 from .cases import draw_case as draw_case
 from .fields import FIELDS as FIELDS
 from .fields import INDOOR as INDOOR
+from .fields import MOST_DECK_SPEED as MOST_DECK_SPEED
+from .fields import MOST_SEED as MOST_SEED
+from .fields import MOST_WIND as MOST_WIND
 from .fields import OUTDOOR as OUTDOOR
 from .fields import Field as Field
 from .mission import Mission as Mission

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxscp.core.types import Scalar, Vector3
 from jaxscp.dynamics.airframes import Airframe
-from jaxscp.mission.fields import FIELDS, Field
+from jaxscp.mission.fields import FIELDS, MOST_DECK_SPEED, MOST_SEED, MOST_WIND, Field
 from jaxscp.simulation import Aerodynamics, LiDAR, Scene, World, indoor, outdoor, simulated_mav
 from jaxscp.simulation.course import Course
 
@@ -44,17 +44,28 @@ class Choices:
     vary: bool = True
     """Whether mass, inertia, thrust and suction vary."""
 
+    def __post_init__(self) -> None:
+        """Refuse speeds that no mission has.
+
+        Raises:
+            ValueError: a speed is negative, not finite, or too great.
+        """
+        for name, most in (("wind", MOST_WIND), ("deck_speed", MOST_DECK_SPEED)):
+            speed = getattr(self, name)
+            if speed is not None and not 0.0 <= speed <= most:  # NaN is refused, too
+                raise ValueError(f"{name}: expected a speed from 0 to {most:g} m/s, got {speed!r}")
+
 
 def draw_case(name: str, seed: int, choices: Choices | None = None) -> Case:
     """The case of a field and a seed; the same seed gives the same case.
 
     Args:
         name: ``indoor`` or ``outdoor``.
-        seed: any whole number.
+        seed: a whole number from 0 to 2^63 - 1.
         choices: numbers that are fixed.
 
     Raises:
-        ValueError: no such field.
+        ValueError: no such field, or no such seed.
 
     Example:
         >>> case = draw_case("indoor", 3)
@@ -63,6 +74,8 @@ def draw_case(name: str, seed: int, choices: Choices | None = None) -> Case:
     """
     if name not in FIELDS:
         raise ValueError(f"name: expected {' or '.join(FIELDS)}, got {name!r}")
+    if not 0 <= seed <= MOST_SEED:
+        raise ValueError(f"seed: expected a whole number from 0 to {MOST_SEED}, got {seed}")
     field, choices = FIELDS[name], choices or Choices()
     keys = jax.random.split(jax.random.fold_in(jax.random.key(seed), sorted(FIELDS).index(name)), 6)
     scene = (indoor if field.walls else outdoor)(keys[0])

@@ -2,6 +2,13 @@
 
 import dataclasses
 
+MOST_SEED = 2**63 - 1
+"""Greatest seed of a mission: a key of JAX takes 64 bits with a sign."""
+MOST_WIND = 15.0
+"""Greatest mean wind of a mission, m/s."""
+MOST_DECK_SPEED = 1.0
+"""Greatest speed of the deck in a landing, m/s."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Field:

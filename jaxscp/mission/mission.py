@@ -60,11 +60,11 @@ def run_mission(name: str, seed: int, choices: Choices | None = None) -> Mission
 
     Args:
         name: ``indoor`` or ``outdoor``.
-        seed: any whole number.
+        seed: a whole number from 0 to 2^63 - 1.
         choices: numbers that are fixed instead of drawn.
 
     Raises:
-        ValueError: no such field.
+        ValueError: no such field, or no such seed.
     """
     case = draw_case(name, seed, choices)
     craft = Craft(case)

@@ -28,3 +28,9 @@ def test_missing_names_are_listed():
 def test_the_hull_may_be_wider_than_the_arms():
     assert float(jaxscp.airframes.multirotor(**NUMBERS).radius) == 0.25
     assert float(jaxscp.airframes.multirotor(**NUMBERS, radius=0.4).radius) == 0.4
+
+
+@pytest.mark.parametrize("inertia", [0.03, [0.03, 0.03], [[0.03, 0.0], [0.0, 0.03]]])
+def test_an_inertia_of_another_shape_is_named(inertia):
+    with pytest.raises(ValueError, match="inertia: expected three principal moments or a 3 x 3 matrix"):
+        jaxscp.airframes.multirotor(**{**NUMBERS, "inertia": inertia})
