@@ -31,6 +31,7 @@ MARKS = {  # pages that compile for more than some seconds; the longest others r
     "docs/compile.md": NIGHTLY,
     "docs/control.md": SLOW,
     "docs/mission.md": NIGHTLY,
+    "docs/simulation.md": NIGHTLY,
     "docs/sweeps.md": NIGHTLY,
     "docs/batches.md": NIGHTLY,
     "docs/gradients.md": NIGHTLY,
