@@ -67,14 +67,14 @@ def draw_thrusts(ax: Axes, scenario: LandingScenario, curves: Curves, nodes: Cur
 
 def draw_clearance(ax: Axes, scenario: LandingScenario, curves: Curves, nodes: Curves) -> Axes:
     """Clearance in m to the union of polytopes (negative outside), to keep-out zones and to obstacle points."""
-    ax.plot(curves.time, union_margin(scenario.corridor, curves), color=BLUE, label="to corridor")
+    ax.plot(curves.time, union_margin(scenario.corridor, curves), color=BLUE, label="centre to corridor")
     ax.plot(nodes.time, union_margin(scenario.corridor, nodes), "o", color=BLACK, markersize=3)
     if scenario.keep_out is not None and scenario.keep_out.centres.shape[0]:
-        ax.plot(curves.time, zone_margin(scenario.keep_out, curves), color=PURPLE, label="to zone")
+        ax.plot(curves.time, zone_margin(scenario.keep_out, curves), color=PURPLE, label="centre to zone")
     if scenario.obstacles is not None:
         distance, _ = KDTree(np.asarray(scenario.obstacles)).query(curves.state[:, :3])
-        ax.plot(curves.time, distance, color=GREY, label="to points")
-        ax.axhline(float(scenario.airframe.radius), color=GREY, **DASHED, label="radius")
+        ax.plot(curves.time, distance, color=GREY, label="centre to obstacles")
+        ax.axhline(float(scenario.airframe.radius), color=GREY, **DASHED, label="radius of the hull")
     ax.axhline(0.0, color=LIMIT, **DASHED, label="limit")
     bottom, top = ax.get_ylim()
     ax.axhspan(min(bottom, 0.0), 0.0, color=LIMIT, alpha=0.08, linewidth=0)

@@ -17,7 +17,7 @@ from jaxscp.landing.mission import BodyState, Ellipsoids
 from jaxscp.landing.scenario import LandingScenario
 from jaxscp.plot.curves import Array, Curves
 from jaxscp.plot.hidden import cut_open, hidden, toward_viewer
-from jaxscp.plot.style import BLACK, BLUE, BODY_AXES, GATE, GOAL, GREY, LIMIT, SKY, START
+from jaxscp.plot.style import BLACK, BLUE, BODY_AXES, GATE, GOAL, GREY, LIMIT, START
 
 ELEVATION, AZIMUTH = 38.0, -70.0  # degrees
 
@@ -134,9 +134,9 @@ def draw_landing_cone(ax: Axes3D, goal: BodyState, angle: float, height: float =
     deck = np.asarray(rotations.rotation_matrix(goal.attitude))
     surface = np.stack([radius * np.cos(around), radius * np.sin(around), up], axis=-1) @ deck.T
     x, y, z = np.moveaxis(np.asarray(goal.position) + surface, -1, 0)
-    ax.plot_surface(x, y, z, color=SKY, alpha=0.35, linewidth=0, shade=False, zorder=4)
-    ax.plot(x[1], y[1], z[1], color=SKY, linewidth=1.0, zorder=4)
-    ax.plot([], [], [], color=SKY, linewidth=5, alpha=0.5, label="landing cone")
+    ax.plot_surface(x, y, z, color=GOAL, alpha=0.3, linewidth=0, shade=False, zorder=4)
+    ax.plot(x[1], y[1], z[1], color=GOAL, linewidth=1.0, zorder=4)
+    ax.plot([], [], [], color=GOAL, linewidth=5, alpha=0.5, label="landing cone")
     return ax
 
 

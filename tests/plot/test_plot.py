@@ -207,7 +207,7 @@ def test_drawing_needs_no_obstacles(scenario, solution):
     ax = Figure().add_subplot()
     curves = plot.planned(solution)
     plot.draw_clearance(ax, bare, curves, curves)
-    assert set(labelled(ax)) & {"to points", "radius"} == set()
+    assert set(labelled(ax)) & {"centre to obstacles", "radius of the hull"} == set()
 
 
 def test_limits_zones_and_gates_are_drawn_where_there_are_any(scenario, solution, scene):
