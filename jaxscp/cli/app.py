@@ -201,16 +201,14 @@ def _corridor(request: PlanRequest, file: Path, notes: Console) -> tuple[PointCl
         try:
             result = build_corridor(points, first, last, request.safety_radius, **options)
         except ValueError:  # an assumption may be its cause
-            facts = request.report(points)
-            gap = closed_gap(points, request.safety_radius) if facts.accepted else 0.0
-            _print_assumptions(notes, facts, gap)
+            _print_assumptions(notes, request.report(points))
             raise
-        _print_assumptions(notes, result.report, result.closed_gap)
+        _print_assumptions(notes, result.report)
     return points, result
 
 
-def _print_assumptions(notes: Console, facts: MapReport, gap: float) -> None:
-    for assumption in (*facts.assumed, *([gap_text(gap)] if gap else [])):
+def _print_assumptions(notes: Console, facts: MapReport) -> None:
+    for assumption in facts.assumed:
         notes.print(f"assumed: {assumption}", markup=False, soft_wrap=True)
 
 

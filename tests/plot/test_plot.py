@@ -87,7 +87,7 @@ def test_thrust_limits_are_drawn_and_in_view(panels, scenario):
 def test_clearance_shows_its_limits(panels, scenario):
     lines = labelled(panels["clearance [m]"])
     assert set(lines["limit"].get_ydata()) == {0.0}
-    assert set(lines["radius"].get_ydata()) == {float(scenario.airframe.radius)}
+    assert set(lines["radius of the hull"].get_ydata()) == {float(scenario.airframe.radius)}
 
 
 def test_nodes_are_marked_on_the_flown_line(panels, solution):
