@@ -10,6 +10,7 @@ from jaxscp.corridor.file_content import CloudFileError, FileContent, Request, c
 from jaxscp.corridor.occupancy import FloorPlan, Voxels, floor_plan_points, voxel_points
 
 _SAMPLE = 2000
+_MAGIC = b"\x93NUMPY"
 
 
 def read_npy(path: Path, request: Request) -> FileContent:
@@ -18,12 +19,13 @@ def read_npy(path: Path, request: Request) -> FileContent:
     Raises:
         CloudFileError: the shape or the type is another one; the message says how to mend it.
     """
-    try:
-        array = np.load(path, allow_pickle=False, mmap_mode="r")
-    except (*DAMAGED, OSError) as error:
+    array, size = _mapped(path), path.stat().st_size
+    end = array.offset + array.nbytes
+    if size != end:
         raise CloudFileError(
-            f"{path}: not a whole .npy file of {path.stat().st_size} bytes: {error}"
-        ) from error
+            f"{path}: its array of shape {array.shape} ends at byte {end}, but the file has {size} bytes: does it hold "
+            "two arrays? Save them as one"
+        )
     if array.dtype == bool:
         return _occupancy(path, array, request)
     if array.dtype.names:
@@ -49,6 +51,29 @@ def read_npy(path: Path, request: Request) -> FileContent:
     columns, notes = chosen_columns(str(path), np.asarray(table[:_SAMPLE], float), request.layout)
     whole = list(columns) == list(range(table.shape[1]))
     return FileContent(np.array(table if whole else table[:, columns]), notes=notes)
+
+
+def _mapped(path: Path) -> np.memmap:
+    """The first array of a file.
+
+    Raises:
+        CloudFileError: there is none, or it holds Python objects.
+    """
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        magic = file.read(len(_MAGIC))
+    if magic != _MAGIC:
+        raise CloudFileError(
+            f"{path}: its {size} bytes do not begin with the header of a .npy; how was it saved?"
+        )
+    try:
+        return np.lib.format.open_memmap(path, mode="r")
+    except (*DAMAGED, OSError) as error:
+        if "Python objects" in str(error):
+            raise CloudFileError(
+                f"{path}: holds Python objects, not numbers; save np.array(points, float), of shape (points, 3)"
+            ) from error
+        raise CloudFileError(f"{path}: not a whole .npy file of {size} bytes: {error}") from error
 
 
 def _occupancy(path: Path, array: np.ndarray, request: Request) -> FileContent:

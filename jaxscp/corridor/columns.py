@@ -29,24 +29,23 @@ def named_columns(
     """Unit and frame that a header states, or None, and the columns of x, y and z.
 
     Raises:
-        CloudFileError: the header names no x, y and z, and the layout does not either.
+        CloudFileError: the header names no x, y and z, and the layout does not either; or their units differ.
 
     Example:
         >>> named_columns(Path("a.csv"), ["id", "X [mm]", "Y [mm]", "Z [mm]"], FileLayout())
         ('mm', None, [1, 2, 3])
     """
-    split = [_name_and_unit(name) for name in header]
-    names = [name for name, _ in split]
+    names = [_name_and_unit(name)[0] for name in header]
     if layout.columns is not None:
         columns = [c if isinstance(c, int) else _column(path, names, c.lower()) for c in layout.columns]
         if max(columns) >= len(names):
             raise CloudFileError(f"{path}: no column {max(columns)} among {len(names)} (counted from 0)")
-        return split[columns[0]][1], None, columns
+        return _one_unit(path, header, columns), None, columns
     for patterns, frame in ((_NORTH_EAST_DOWN, "ned"), (_NAMES, None)):
         found = [_matching(names, patterns[axis]) for axis in "xyz"]
         if all(found):
             columns = [places[0] for places in found]
-            return split[columns[0]][1], frame, columns
+            return _one_unit(path, header, columns), frame, columns
     geographic = any(re.match(r"lat|lon", name) for name in names)
     hint = (
         "degrees are no metres: project them first" if geographic else "name them: columns=(...) (--columns)"
@@ -141,6 +140,17 @@ def _name_and_unit(name: str) -> tuple[str, str | None]:
     name = name.strip().strip("\"'").lower()
     found = re.fullmatch(rf"(.*?)\s*(?:[\[(]\s*({_UNITS})\s*[\])]|_({_UNITS}))", name)
     return (found[1].strip(), found[2] or found[3]) if found else (name, None)
+
+
+def _one_unit(path: Path, header: list[str], columns: list[int]) -> str | None:
+    """Unit of three columns, or None; one without a unit is in metres where another has one."""
+    units = [_name_and_unit(header[column])[1] for column in columns]
+    if len({unit or "m" for unit in units}) > 1:
+        stated = ", ".join(header[column] for column in columns)
+        raise CloudFileError(
+            f"{path}: columns {stated} have different units; bring them to one, and state it for each"
+        )
+    return next((unit for unit in units if unit), None)
 
 
 def _matching(names: list[str], pattern: str) -> list[int]:

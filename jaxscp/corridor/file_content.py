@@ -16,6 +16,38 @@ class CloudFileError(ValueError):
     """A file that cannot be read as its suffix says; the message names the file, the place and the cause."""
 
 
+_KINDS = (
+    (b"\x93NUMPY", "a NumPy array", (".npy",)),
+    (b"PK\x03\x04", "a .zip or .npz archive", ()),
+    (b"\x1f\x8b", "a file compressed by gzip", ()),
+    (b"BZh", "a file compressed by bzip2", ()),
+    (b"\xfd7zXZ", "a file compressed by xz", ()),
+    (b"ply\n", "a .ply file", (".ply",)),
+    (b"ply\r", "a .ply file", (".ply",)),
+    (b"# .PCD", "a .pcd file", (".pcd",)),
+    (b"# .pcd", "a .pcd file", (".pcd",)),
+    (b"LASF", "a laser scan", (".las", ".laz")),
+    (b"ASTM-E57", "a laser scan", (".e57",)),
+    (b"glTF", "a binary glTF", (".glb",)),
+    (b"# Octomap OcTree", "an OctoMap", (".ot", ".bt")),
+)
+"""First bytes of kinds of files, and their suffixes; those without a suffix must be unpacked."""
+
+
+def check_kind(path: Path) -> None:
+    """Refuse a file whose first bytes are those of a kind that its suffix does not name.
+
+    Raises:
+        CloudFileError: the suffix is wrong; the message says what the file looks like.
+    """
+    with path.open("rb") as file:
+        head = file.read(20)
+    for first, kind, suffixes in _KINDS:
+        if head.startswith(first) and path.suffix.lower() not in suffixes:
+            remedy = f"rename it to {' or '.join(suffixes)}" if suffixes else "unpack it first"
+            raise CloudFileError(f"{path}: looks like {kind} under another name; {remedy}")
+
+
 def check_count(path: Path, count: int) -> None:
     """Refuse a file with more points than memory should hold, before they are read where its header has the number.
 
@@ -60,6 +92,8 @@ class Request(NamedTuple):
     """Seed of these samples."""
     layout: FileLayout
     """Facts that the file does not hold."""
+    unit: str | None = None
+    """The unit that the caller states, or None."""
 
 
 class FileContent(NamedTuple):

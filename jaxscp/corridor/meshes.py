@@ -1,103 +1,114 @@
-"""Surfaces as points: samples of a mesh, read by trimesh, or of the faces and strips of a .ply, read by plyfile."""
+"""Meshes that trimesh reads: .stl, .glb and .gltf."""
 
-import io
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from jaxscp.corridor.file_content import CloudFileError, FileContent, Request
+from jaxscp.corridor.surfaces import Surface, surface_content
 
-_SAMPLES_PER_CELL = 8
-_MOST_SAMPLES = 20_000_000
-_TEXT_MESHES = (".obj", ".off")
-
-Corners = Float[np.ndarray, "corners 3"]
-Triangles = Int[np.ndarray, "triangles 3"]
+_STL_HEAD, _STL_RECORD = 84, 50
+_FACET = re.compile(rb"^\s*facet\b", re.IGNORECASE | re.MULTILINE)
+_END_FACET = re.compile(rb"^\s*endfacet\b", re.IGNORECASE | re.MULTILINE)
+_END_SOLID = re.compile(rb"^\s*endsolid\b", re.IGNORECASE | re.MULTILINE)
 
 
-def read_mesh(path: Path, request: Request) -> FileContent:
-    """Samples of the surface of a .stl, .obj, .off, .glb or .gltf.
+def read_stl(path: Path, request: Request) -> FileContent:
+    """Samples of the surface of a .stl, text or binary.
 
     Raises:
-        CloudFileError: there is no triangle with finite corners, or the surface is too large for its spacing.
+        CloudFileError: the number of triangles is not as the file says, or none has finite corners.
     """
-    trimesh, suffix = request.library, path.suffix.lower()
-    source: Any = str(path)
-    if suffix in _TEXT_MESHES:
-        source = io.BytesIO(_as_utf8(path.read_bytes()))
+    stated = _stated_triangles(path)
+    surface = _trimesh_surface(path, request.library)
+    if len(surface.triangles) != stated:
+        raise CloudFileError(
+            f"{path}: states {stated} triangles, but {len(surface.triangles)} can be read: damaged?"
+        )
+    if not stated:
+        raise CloudFileError(f"{path}: holds no triangle")
+    return surface_content(path, surface, request)
+
+
+def read_gltf(path: Path, request: Request) -> FileContent:
+    """Samples of the surfaces of a .glb or .gltf, its points, and the ends of its lines.
+
+    Raises:
+        CloudFileError: there is neither a point nor a triangle with finite corners.
+    """
+    surface = _trimesh_surface(path, request.library)
+    if not len(surface.corners):
+        raise CloudFileError(f"{path}: holds no triangle, line or point")
+    content = surface_content(path, surface, request)
+    doubt = (
+        "glTF is y up by its standard, but some programs write it z up. State it: frame='y-up' or frame='enu' "
+        "(--frame)"
+    )
+    return content._replace(unit="m", doubts=(doubt,))
+
+
+def _trimesh_surface(path: Path, trimesh: Any) -> Surface:
+    """Everything of a scene; trimesh would drop corners that are not finite, and all that is no triangle."""
     try:
-        mesh = trimesh.load_mesh(source, file_type=suffix[1:])
-        corners, triangles = np.asarray(mesh.vertices, float), np.asarray(mesh.faces)
+        parts = trimesh.load_scene(str(path), file_type=path.suffix.lower()[1:], process=False).dump()
+        surfaces = [_surface_of(part) for part in parts]
     except Exception as error:  # its loaders raise whatever their parsers raise
         raise CloudFileError(f"{path}: not a mesh of {path.stat().st_size} bytes: {error}") from error
-    if triangles.size == 0 or not np.isfinite(corners).all():
-        raise CloudFileError(f"{path}: no triangle with finite corners in its {path.stat().st_size} bytes")
-    points = sampled(path, corners, triangles, request)
-    if suffix in (".glb", ".gltf"):
-        doubt = (
-            "glTF is y up by its standard, but some programs write it z up. State it: frame='y-up' or frame='enu' "
-            "(--frame)"
-        )
-        return FileContent(points, unit="m", doubts=(doubt,))
-    return FileContent(points)
+    surfaces.append(Surface(np.empty((0, 3)), np.empty((0, 3), int)))
+    sizes = np.array([len(surface.corners) for surface in surfaces])
+    numbered = list(zip(surfaces, np.cumsum(sizes) - sizes, strict=True))
+    return Surface(
+        np.concatenate([surface.corners for surface in surfaces]),
+        np.concatenate([surface.triangles + first for surface, first in numbered]),
+    )
 
 
-def _as_utf8(data: bytes) -> bytes:
-    """Text in UTF-8, whatever it was; comments and names in Latin-1 do not matter to a mesh."""
-    try:
-        data.decode("utf-8")
-    except UnicodeDecodeError:
-        return data.decode("latin-1").encode("utf-8")
-    return data
+def _surface_of(part: Any) -> Surface:
+    """Vertices and triangles of one geometry of trimesh; ends of lines are vertices alone."""
+    corners = np.asarray(part.vertices, float).reshape(-1, 3)
+    if hasattr(part, "faces"):
+        # Parts share vertices in glTF: those that this part does not name belong to another, elsewhere.
+        used, numbers = np.unique(np.asarray(part.faces), return_inverse=True)
+        return Surface(corners[used], numbers.reshape(-1, 3).astype(int))
+    # Trimesh joins the ends of lines of glTF in the order of the file, whatever its indices say.
+    return Surface(corners, np.empty((0, 3), int))
 
 
-def sampled(
-    path: Path, corners: Corners, triangles: Triangles, request: Request
-) -> Float[np.ndarray, "points 3"]:
-    """Random samples of triangles, eight for each square of side ``spacing``, their corners, and their long edges.
-
-    Holes wider than the spacing are unlikely, and none is in an edge.
+def _stated_triangles(path: Path) -> int:
+    """Triangles that a .stl says it has: by its header, or by its facets in text.
 
     Raises:
-        CloudFileError: that takes too many samples; likely the mesh is not in metres.
-        ValueError: the spacing is not positive.
+        CloudFileError: the file holds another number.
     """
-    spacing = request.spacing
-    if not spacing > 0:
-        raise ValueError(f"spacing must be positive, got {spacing} m")
-    sides = corners[triangles]
-    area = 0.5 * float(
-        np.linalg.norm(np.cross(sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0]), axis=1).sum()
-    )
-    edges = np.unique(np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
-    lengths = np.linalg.norm(corners[edges[:, 1]] - corners[edges[:, 0]], axis=1)
-    samples = int(np.ceil(_SAMPLES_PER_CELL * area / spacing**2))
-    if samples + lengths.sum() / spacing > _MOST_SAMPLES:
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        head = file.read(1000)
+        stated = int.from_bytes(head[80:84], "little")
+        needed = _STL_HEAD + _STL_RECORD * stated
+        if size >= _STL_HEAD and size == needed:
+            return stated
+        data = head + file.read() if head.lstrip().lower().startswith(b"solid") else b""
+    if _FACET.search(data) or _END_SOLID.search(data):
+        return _stated_facets(path, data)
+    if size < _STL_HEAD:
         raise CloudFileError(
-            f"{path}: a surface of {area:.0f} square units needs {samples} samples every {spacing:g}. Is the mesh in "
-            "metres? If not, state its unit: unit='mm' (--unit mm). Else choose a larger spacing between samples: "
-            "spacing=1.0 (--spacing 1)"
+            f"{path}: {size} bytes are too few for a .stl, whose header alone takes {_STL_HEAD}"
         )
-    trimesh = request.load("trimesh")
-    mesh = trimesh.Trimesh(corners, triangles, process=False)
-    points = [corners[np.unique(triangles)], *_edge_points(corners, edges, lengths, spacing)]
-    if samples:
-        points.insert(0, np.asarray(trimesh.sample.sample_surface(mesh, samples, seed=request.seed)[0]))
-    return np.concatenate(points)
+    cause = "cut off, or not a .stl" if size < needed else "a wrong count, or bytes were added"
+    raise CloudFileError(
+        f"{path}: the header states {stated} triangles, which need {needed} bytes, but the file has {size} bytes, "
+        f"room for {(size - _STL_HEAD) // _STL_RECORD}: {cause}"
+    )
 
 
-def _edge_points(
-    corners: Corners, edges: Int[np.ndarray, "edges 2"], lengths, spacing: float
-) -> list[np.ndarray]:
-    """Points inside the edges that are longer than the spacing."""
-    counts = np.ceil(lengths / spacing).astype(int)
-    long = np.flatnonzero(counts > 1)
-    if not len(long):
-        return []
-    edge = np.repeat(long, counts[long] - 1)
-    first = np.cumsum(counts[long] - 1) - (counts[long] - 1)
-    place = np.arange(len(edge)) - np.repeat(first, counts[long] - 1) + 1
-    fraction = (place / counts[edge])[:, None]
-    return [(1.0 - fraction) * corners[edges[edge, 0]] + fraction * corners[edges[edge, 1]]]
+def _stated_facets(path: Path, data: bytes) -> int:
+    begun, ended = len(_FACET.findall(data)), len(_END_FACET.findall(data))
+    ends = [match.start() for match in _END_FACET.finditer(data)]
+    closed = [match.start() for match in _END_SOLID.finditer(data)]
+    if begun != ended:
+        raise CloudFileError(f"{path}: {begun} facets begin, but {ended} end: cut off, or damaged")
+    if not closed or (ends and closed[-1] < ends[-1]):
+        raise CloudFileError(f"{path}: no endsolid after the last of its {ended} facets: cut off?")
+    return ended

@@ -10,6 +10,7 @@ from jaxscp.corridor.file_content import CloudFileError, FileContent, Request, c
 from jaxscp.corridor.tables import Dialect, read_columns
 
 _IDENTITY = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+_ENCODINGS = ("ascii", "binary", "binary_compressed")
 _TYPES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
 
 
@@ -53,22 +54,49 @@ def _header(path: Path, pypcd4: Any) -> Header:
     missing = [axis for axis in "xyz" if axis not in fields]
     if missing:
         raise CloudFileError(f"{path}: no field {', '.join(missing)} among FIELDS {' '.join(fields)}")
+    repeated = [axis for axis in "xyz" if fields.count(axis) > 1]
+    if repeated:
+        raise CloudFileError(
+            f"{path}: field {', '.join(repeated)} comes twice in FIELDS {' '.join(fields)}; which one is meant?"
+        )
     _check_types(path, entries, fields)
     _check_viewpoint(path, entries.setdefault("VIEWPOINT", [f"{value:g}" for value in _IDENTITY]))
     try:
         entries.setdefault("COUNT", ["1"] * len(fields))
         entries.setdefault("HEIGHT", ["1"])
-        entries.setdefault("POINTS", [str(int(entries["WIDTH"][0]) * int(entries["HEIGHT"][0]))])
-        entries.setdefault("WIDTH", entries["POINTS"])
         entries["VERSION"] = ["0.7"]
         entries["DATA"] = [entries["DATA"][0].lower()]
+        _fill_counts(entries)
         meta = pypcd4.MetaData.parse_header([f"{key} {' '.join(words)}" for key, words in entries.items()])
     except (ValueError, KeyError, IndexError) as error:
-        cause = f"no {error.args[0]}" if isinstance(error, KeyError) else error
+        # An error of pydantic has many lines.
+        cause = f"no {error.args[0]}" if isinstance(error, KeyError) else " ".join(str(error).split())[:200]
         raise CloudFileError(
             f"{path}: the header, lines 1 to {len(lines)}, is not that of a .pcd: {cause}"
         ) from error
+    if meta.width * meta.height != meta.points:
+        raise CloudFileError(
+            f"{path}: WIDTH {meta.width} times HEIGHT {meta.height} is {meta.width * meta.height}, but POINTS is "
+            f"{meta.points}: mend the header"
+        )
     return Header(meta, len(lines), start)
+
+
+def _fill_counts(entries: dict[str, list[str]]) -> None:
+    """WIDTH and POINTS where one is missing.
+
+    Raises:
+        KeyError: both are missing.
+        ValueError: one is no whole number from 0, or the kind of data is unknown.
+    """
+    for key in ("WIDTH", "HEIGHT", "POINTS"):
+        if key in entries and not (len(entries[key]) == 1 and entries[key][0].isdecimal()):
+            raise ValueError(f"{key} must be a whole number from 0, has {' '.join(entries[key])!r}")
+    if entries["DATA"][0] not in _ENCODINGS:
+        raise ValueError(f"DATA must be {', '.join(_ENCODINGS)}, has {entries['DATA'][0]!r}")
+    if "POINTS" not in entries:
+        entries["POINTS"] = [str(int(entries["WIDTH"][0]) * int(entries["HEIGHT"][0]))]
+    entries.setdefault("WIDTH", entries["POINTS"])
 
 
 def _check_viewpoint(path: Path, words: list[str]) -> None:
@@ -135,10 +163,17 @@ def _points(path: Path, header: Header, pypcd4: Any) -> np.ndarray:
             file.seek(header.start)
             packed, whole = np.frombuffer(file.read(8), "<u4")
             data = pypcd4.pypcd4.lzf.decompress(file.read(int(packed)), int(whole))
+        if whole != meta.points * _itemsize(meta):
+            held = int(whole) // _itemsize(meta)
+            raise CloudFileError(
+                f"{path}: the header promises {meta.points} points, but the data hold {held}"
+            )
         columns = [_column(meta, axis) for axis in "xyz"]
         return np.stack(
             [np.frombuffer(data, kind, meta.points, at * meta.points) for at, kind in columns], axis=1
         )
+    except CloudFileError:
+        raise
     except (ValueError, RuntimeError, TypeError) as error:
         raise CloudFileError(
             f"{path}: the data from byte {header.start} on cannot be decoded: {error}"
@@ -184,4 +219,15 @@ def _check_size(path: Path, header: Header) -> None:
         raise CloudFileError(
             f"{path}: truncated at byte {size}: the header promises {meta.points} points, "
             f"which end at byte {header.start + needed}"
+        )
+    with path.open("rb") as file:
+        file.seek(header.start + needed)
+        # Some writers fill the last page with zeros.
+        rest = size - header.start - needed if file.read().strip(b"\0 \t\r\n") else 0
+    if rest:
+        more = (
+            f"data of {rest // _itemsize(meta)} more" if meta.data.value == "binary" else f"{rest} bytes more"
+        )
+        raise CloudFileError(
+            f"{path}: the header promises {meta.points} points, but {more} follow: a wrong count?"
         )

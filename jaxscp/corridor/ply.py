@@ -1,21 +1,25 @@
-"""Polygon files (.ply): a cloud where there are vertices alone, a surface where there are faces or strips."""
+"""Polygon files (.ply): a cloud where there are vertices alone, a surface where there are faces, strips or edges."""
 
+import re
+import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from jaxscp.corridor.file_content import CloudFileError, FileContent, Request
-from jaxscp.corridor.meshes import Triangles, sampled
+from jaxscp.corridor.surfaces import Segments, Surface, Triangles, fans, surface_content
 
+_HEAD = 1 << 16
 _LISTS = ("vertex_indices", "vertex_index")
 
 
 def read_ply(path: Path, request: Request) -> FileContent:
-    """Points of a .ply, ASCII or binary; faces and triangle strips are sampled as surfaces.
+    """Points of a .ply, ASCII or binary; faces, triangle strips and edges are sampled, other vertices are points.
 
     Raises:
-        CloudFileError: there is no vertex with x, y and z, or a face names a vertex that does not exist.
+        CloudFileError: there is no vertex with x, y and z, a face names a vertex that does not exist, or there are
+            more rows than the header counts.
     """
     plyfile = request.library
     size = path.stat().st_size
@@ -25,30 +29,59 @@ def read_ply(path: Path, request: Request) -> FileContent:
         raise CloudFileError(f"{path}: {error} (file of {size} bytes)") from error
     except UnicodeDecodeError as error:
         raise CloudFileError(f"{path}: byte {error.start}: not a .ply header") from error
+    except CloudFileError:
+        raise
     except (ValueError, OSError) as error:
         raise CloudFileError(f"{path}: not a whole .ply of {size} bytes: {error}") from error
     elements = {element.name.lower(): element for element in data.elements}
     if "vertex" not in elements:
         raise CloudFileError(f"{path}: no element 'vertex' among {', '.join(elements) or 'none'}")
     points = _vertices(path, elements["vertex"])
-    triangles = [_fans(path, elements.get("face")), _strips(path, elements.get("tristrips"))]
-    indices = np.concatenate(triangles)
-    if not len(indices):
+    for name, element in elements.items():
+        if name != "vertex" and {"x", "y", "z"} <= {prop.name.lower() for prop in element.properties}:
+            message = f"{path}: the {element.count} rows of element {name!r} have x, y and z, but only 'vertex' is read"
+            warnings.warn(message, stacklevel=2)
+    triangles = np.concatenate([_fans(path, elements.get("face")), _strips(path, elements.get("tristrips"))])
+    segments = _edges(elements.get("edge"))
+    if not len(triangles) and not len(segments):
         return FileContent(points)
-    if indices.min() < 0 or indices.max() >= len(points):
-        raise CloudFileError(f"{path}: a face names vertex {indices.max()}, but there are {len(points)}")
-    finite = np.asarray(np.isfinite(points).all(axis=1))[indices].all(axis=1)
-    if not finite.any():
-        raise CloudFileError(f"{path}: no triangle with finite corners")
-    return FileContent(sampled(path, points.astype(float), indices[finite], request))
+    return surface_content(path, Surface(points.astype(float), triangles, segments), request, merge=False)
 
 
 def _parsed(path: Path, plyfile: Any) -> Any:
     """Binary triangles are read at once where every face is one; other faces one by one."""
+    with path.open("rb") as file:
+        text = re.search(rb"[\r\n]format\s+ascii\b", file.read(_HEAD)) is not None
+    if text:
+        with path.open(encoding="ascii") as file:
+            data = plyfile.PlyData.read(file)
+            _check_rest(path, data, sum(1 for line in file if line.strip()), "lines")
+        return data
     try:
-        return plyfile.PlyData.read(str(path), known_list_len={"face": dict.fromkeys(_LISTS, 3)}, mmap="c")
-    except (plyfile.PlyParseError, ValueError, KeyError):
-        return plyfile.PlyData.read(str(path))
+        return _binary(path, plyfile, {"face": dict.fromkeys(_LISTS, 3)})
+    except (plyfile.PlyParseError, ValueError, KeyError) as error:
+        if isinstance(error, CloudFileError):
+            raise
+        return _binary(path, plyfile, {})
+
+
+def _binary(path: Path, plyfile: Any, known: dict[str, dict[str, int]]) -> Any:
+    with path.open("rb") as file:
+        data = plyfile.PlyData.read(file, known_list_len=known, mmap="c")
+        at = file.tell()
+        # Padding is no row.
+        rest = path.stat().st_size - at if file.read().strip(b"\0 \t\r\n") else 0
+        _check_rest(path, data, rest, "bytes")
+    return data
+
+
+def _check_rest(path: Path, data: Any, rest: int, unit: str) -> None:
+    """Refuse a file that goes on after the last row that its header counts."""
+    if rest:
+        counts = ", ".join(f"{element.count} of {element.name!r}" for element in data.elements)
+        raise CloudFileError(
+            f"{path}: {rest} {unit} follow the last row that the header counts ({counts}): is a count too low?"
+        )
 
 
 def _vertices(path: Path, vertex: Any) -> np.ndarray:
@@ -81,11 +114,7 @@ def _fans(path: Path, face: Any) -> Triangles:
     if lists.dtype != object:
         return lists.astype(int)
     sizes = np.array([len(indices) for indices in lists])
-    triangles = []
-    for size in np.unique(sizes[sizes >= 3]):
-        polygons = np.stack([lists[k] for k in np.flatnonzero(sizes == size)]).astype(int)
-        triangles += [polygons[:, [0, k, k + 1]] for k in range(1, size - 1)]
-    return np.concatenate(triangles) if triangles else np.empty((0, 3), int)
+    return fans(np.concatenate(list(lists)).astype(int), sizes)
 
 
 def _strips(path: Path, element: Any) -> Triangles:
@@ -96,3 +125,10 @@ def _strips(path: Path, element: Any) -> Triangles:
     windows = [np.lib.stride_tricks.sliding_window_view(s.astype(int), 3) for s in lists if len(s) >= 3]
     triangles = np.concatenate(windows) if windows else np.empty((0, 3), int)
     return triangles[(triangles >= 0).all(axis=1)]
+
+
+def _edges(element: Any) -> Segments:
+    """Pairs of vertices of an element 'edge'."""
+    if element is None or not {"vertex1", "vertex2"} <= set(element.data.dtype.names):
+        return np.empty((0, 2), int)
+    return np.column_stack([np.asarray(element[name]).astype(int) for name in ("vertex1", "vertex2")])

@@ -4,10 +4,10 @@
 suffix                                     content                                                    library
 =========================================  =========================================================  ========
 ``.pcd``                                   Point Cloud Data of every version and encoding             pypcd4
-``.ply``                                   vertices; faces and triangle strips are surfaces           plyfile
+``.ply``                                   vertices; faces, strips and edges are sampled              plyfile
 ``.xyz .txt .csv .asc .pts``               x y z by a header, or in the first three columns           numpy
 ``.npy``                                   array (points, 3 or more), or occupancy of bool            numpy
-``.stl .obj .off .glb .gltf``              mesh, sampled at about ``spacing``                         trimesh
+``.stl .obj .off .glb .gltf``              mesh, sampled at about ``spacing``; its other vertices     trimesh
 ``.las .laz``                              laser scan; points of class noise are left out             laspy
 ``.e57``                                   laser scans in their common frame                          pye57
 ``.bt .ot``                                OctoMap; unknown cells beside free ones are obstacles      octomap
@@ -33,13 +33,21 @@ from jaxscp.corridor.arrays_on_file import read_npy
 from jaxscp.corridor.clouds import PointCloud, Provenance
 from jaxscp.corridor.conventions import metres, to_z_up
 from jaxscp.corridor.extent import Triple, corners
-from jaxscp.corridor.file_content import CloudFileError, FileContent, FileLayout, Request, check_count
-from jaxscp.corridor.meshes import read_mesh
+from jaxscp.corridor.file_content import (
+    CloudFileError,
+    FileContent,
+    FileLayout,
+    Request,
+    check_count,
+    check_kind,
+)
+from jaxscp.corridor.meshes import read_gltf, read_stl
 from jaxscp.corridor.pcd import read_pcd
 from jaxscp.corridor.ply import read_ply
 from jaxscp.corridor.robot_maps import read_floor_plan, read_octomap
 from jaxscp.corridor.scans import read_e57, read_las
 from jaxscp.corridor.tables import read_table
+from jaxscp.corridor.text_meshes import read_obj, read_off
 from jaxscp.corridor.viewpoint import check_pose, from_sensor, guessed_frame
 
 _COARSE = 0.01
@@ -61,7 +69,10 @@ _FORMATS = {
     ".ply": Format(read_ply, "plyfile"),
     ".npy": Format(read_npy, None),
     **dict.fromkeys((".xyz", ".txt", ".csv", ".asc", ".pts"), Format(read_table, None)),
-    **dict.fromkeys((".stl", ".obj", ".off", ".glb", ".gltf"), Format(read_mesh, "trimesh")),
+    ".stl": Format(read_stl, "trimesh"),
+    ".obj": Format(read_obj, "trimesh"),
+    ".off": Format(read_off, "trimesh"),
+    **dict.fromkeys((".glb", ".gltf"), Format(read_gltf, "trimesh")),
     **dict.fromkeys((".las", ".laz"), Format(read_las, "laspy", "scans")),
     ".e57": Format(read_e57, "pye57", "scans"),
     **dict.fromkeys((".bt", ".ot"), Format(read_octomap, "octomap", "scans")),
@@ -112,17 +123,18 @@ def read_cloud(
         raise FileNotFoundError(f"no such file: {path}")
     chosen = _FORMATS.get(path.suffix.lower())
     if chosen is None:
-        known = ", ".join(_FORMATS)
-        raise CloudFileError(f"{path}: unknown kind of cloud file {path.suffix!r}; known are {known}")
+        raise CloudFileError(f"{path}: unknown kind of file {path.suffix!r}; known are {', '.join(_FORMATS)}")
     load = partial(_library, chosen.extra, path)
     library = None if chosen.library is None else load(chosen.library)
-    content = _content(chosen, path, Request(library, load, spacing / scale, seed, layout or FileLayout()))
+    request = Request(library, load, spacing / scale, seed, layout or FileLayout(), unit)
+    content = _content(chosen, path, request)
     local = np.zeros(3) if offset is None else _offset(offset)
     return _in_metres(path, content, unit or content.unit, frame, local)
 
 
 def _content(chosen: Format, path: Path, request: Request) -> FileContent:
     """Content of a file; an error of a library that does not name the file becomes one that does."""
+    check_kind(path)
     try:
         return chosen.read(path, request)
     except (*DAMAGED, IndexError) as error:

@@ -29,6 +29,8 @@ class Dialect(NamedTuple):
     """Lines before the first row of numbers."""
     header: list[str] | None
     """Names of the columns."""
+    count: int | None = None
+    """Number of points that a line before the rows states, as .pts files have it."""
 
     def words(self, line: str) -> list[str]:
         """Fields of one line; a comment at its end is left out."""
@@ -42,7 +44,8 @@ def read_table(path: Path, request: Request) -> FileContent:
     """Points from a text table; x, y and z are found by the header, or are the first three columns.
 
     Raises:
-        CloudFileError: a line holds no three numbers, or a column counts and is no coordinate.
+        CloudFileError: a line holds no three numbers, a column counts and is no coordinate, or the number of points
+            before the rows is not theirs.
     """
     dialect = sniff(path)
     rows = _sample(path, dialect)
@@ -52,7 +55,13 @@ def read_table(path: Path, request: Request) -> FileContent:
     else:
         unit = frame = None
         columns, notes = chosen_columns(str(path), rows, request.layout)
-    return FileContent(read_columns(path, columns, dialect), unit, frame, notes=notes)
+    points = read_columns(path, columns, dialect)
+    if dialect.count is not None and dialect.count != len(points):
+        cause = "cut off" if len(points) < dialect.count else "rows were added"
+        raise CloudFileError(
+            f"{path}: its first line states {dialect.count} points, but {len(points)} rows follow: {cause}?"
+        )
+    return FileContent(points, unit, frame, notes=notes)
 
 
 def sniff(path: Path) -> Dialect:
@@ -63,19 +72,22 @@ def sniff(path: Path) -> Dialect:
     """
     encoding = _encoding(path)
     header: list[str] | None = None
+    count: int | None = None
     with path.open(encoding=encoding) as file:
         for number, raw in enumerate(file):
             line = raw.strip()
             comment = _COMMENT.match(line)
             text = line[comment.end() :].strip() if comment else line
             words = [word for word in re.split(r"[,;\s]+", text) if word]
-            if not words or (len(words) == 1 and words[0].isdigit() and not comment):
-                continue  # a lone number of points, as .pts files begin
-            if comment:
+            if not words:
+                continue
+            if len(words) == 1 and words[0].isdecimal() and not comment:
+                count = int(words[0])
+            elif comment:
                 names = _split_names(text)
                 header = names if has_names(names) else header
             elif _is_number(words[0]):
-                return Dialect(encoding, *_separator(line), number, header)
+                return Dialect(encoding, *_separator(line), number, header, count)
             elif header is None and len(words) >= 3:
                 header = _split_names(text)
             else:

@@ -121,3 +121,17 @@ def test_a_column_that_is_not_there_is_named(tmp_path):
     path = written(tmp_path, "t.csv", POINTS, "x,y,z", ",")
     with pytest.raises(CloudFileError, match="no column 'w'"):
         read_cloud(path, layout=FileLayout(columns=("x", "y", "w")))
+
+
+@pytest.mark.parametrize("suffix", ["pts", "xyz"])
+@pytest.mark.parametrize(("stated", "cause"), [(50, "cut off"), (30, "rows were added")])
+def test_a_number_of_points_that_is_not_that_of_the_rows_is_refused(tmp_path, suffix, stated, cause):
+    path = written(tmp_path, f"t.{suffix}", POINTS, str(stated))
+    with pytest.raises(CloudFileError, match=rf"states {stated} points, but 40 rows follow: {cause}"):
+        read_cloud(path)
+
+
+def test_blank_lines_and_comments_are_no_rows(tmp_path):
+    (tmp_path / "t.pts").write_text("\n2\n# comment\n0 1 2\n\nnan nan nan\n\n")
+    with pytest.warns(UserWarning, match="dropped 1 of 2 points"):
+        assert read_cloud(tmp_path / "t.pts").points.tolist() == [[0, 1, 2]]
