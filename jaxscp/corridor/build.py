@@ -133,7 +133,7 @@ def build_corridor(
 ) -> CorridorResult:
     """Safe flight corridor from start to goal through a point cloud.
 
-    No polytope comes nearer than ``radius`` to a point of the cloud. Steps, limits, decks: see ``jaxscp.corridor.build``.
+    No polytope comes nearer than ``radius`` to a point of the cloud. Steps, limits, decks: ``jaxscp.corridor.build``.
 
     Args:
         cloud: obstacles, or their positions as an array, (points, 3), metres; an empty one is free space.
