@@ -36,6 +36,30 @@ def floats(value: Any) -> jax.Array:
     return jnp.asarray(namespace(value).asarray(value, float))
 
 
+def triple(name: str, value: Any) -> Any:
+    """Three numbers as an array of floats, traced or of NumPy.
+
+    Args:
+        name: of the numbers, for the message.
+        value: the numbers.
+
+    Raises:
+        ValueError: these are no three numbers.
+
+    Example:
+        >>> from jaxscp.core.arrays import triple
+        >>> triple("position", [0, 1, 2]).tolist()
+        [0.0, 1.0, 2.0]
+    """
+    try:
+        array = namespace(value).asarray(value, float)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name}: expected three numbers, got {value!r}") from error
+    if array.shape != (3,):
+        raise ValueError(f"{name}: expected three numbers, got shape {array.shape}")
+    return array
+
+
 def as_floats(value: Any) -> Any:
     """Plain numbers, NumPy arrays and lists as an array of floats; arrays of JAX, None and others stay as they are.
 

@@ -222,7 +222,9 @@ class InflationFIRI(Decomposition):
 
         first = around_segment(points, active, jnp.maximum(seed.half, _SHORTEST))
         dtype = points.dtype
-        nothing = Cuts(jnp.zeros((self.planes, 3), dtype), jnp.ones(self.planes, dtype), jnp.zeros((), jnp.int32))
+        nothing = Cuts(
+            jnp.zeros((self.planes, 3), dtype), jnp.ones(self.planes, dtype), jnp.zeros((), jnp.int32)
+        )
         begun = (first, nothing, jnp.zeros((), dtype))
         # A loop, so that a round is compiled once.
         return jax.lax.fori_loop(0, self.rounds, lay_again, begun)[1]

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from jaxscp.core.arrays import namespace
+from jaxscp.core.arrays import namespace, triple
 
 
 class Polytope(eqx.Module):
@@ -26,21 +26,21 @@ def box(lower: ArrayLike, upper: ArrayLike) -> Polytope:
         upper: (3,) the corner with the greatest coordinates.
 
     Raises:
-        ValueError: the corners are swapped along an axis.
+        ValueError: the corners are swapped along an axis, or are no three numbers.
 
     Example:
         >>> import jaxscp
         >>> jaxscp.corridor.box([0.0, 0.0, 0.0], [1.0, 2.0, 3.0]).offsets.tolist()
         [1.0, 2.0, 3.0, -0.0, -0.0, -0.0]
     """
-    xp = namespace(lower, upper)
+    xp, least, most = namespace(lower, upper), triple("box: lower", lower), triple("box: upper", upper)
     if xp is np:
-        for axis, low, high in zip("xyz", np.asarray(lower, float), np.asarray(upper, float), strict=True):
+        for axis, low, high in zip("xyz", least, most, strict=True):
             if low > high:
                 raise ValueError(
                     f"box: lower {axis} {low:g} m exceeds upper {axis} {high:g} m; are they swapped?"
                 )
-    offsets = xp.concatenate([xp.asarray(upper, float), -xp.asarray(lower, float)])
+    offsets = xp.concatenate([most, -least])
     return Polytope(jnp.asarray(np.concatenate([np.eye(3), -np.eye(3)])), jnp.asarray(offsets))
 
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxscp.core.arrays import as_floats, floats, namespace, unit_lengths
+from jaxscp.core.arrays import as_floats, floats, namespace, triple, unit_lengths
 from jaxscp.core.types import Points, Quaternion, Scalar, Vector3
 from jaxscp.corridor.obstacles import Hull, Obstacles
 from jaxscp.corridor.polytopes import Corridor, unit_rows
@@ -53,13 +53,16 @@ class BodyState(eqx.Module):
 def at_rest(position, yaw: Scalar | float = 0.0) -> BodyState:
     """Level and at rest at a position in m, heading ``yaw`` radians.
 
+    Raises:
+        ValueError: the position is no three numbers.
+
     Example:
         >>> import jaxscp
         >>> jaxscp.at_rest([1.0, 2.0, 3.0]).vector().shape
         (13,)
     """
     zero = floats(np.zeros(3))
-    return BodyState(floats(position), zero, rotations.from_yaw(yaw), zero)
+    return BodyState(floats(triple("position", position)), zero, rotations.from_yaw(yaw), zero)
 
 
 class Components(eqx.Module):
