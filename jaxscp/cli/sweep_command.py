@@ -40,6 +40,8 @@ class SweepRequest:
         with refusals():
             try:
                 found = self._sweep(asked)
+            except mc.InvalidStudy as error:
+                raise typer.BadParameter(f"{self.config}: {error}") from error
             except mc.SweepError as error:
                 raise typer.BadParameter(str(error)) from error
             except KeyboardInterrupt as error:

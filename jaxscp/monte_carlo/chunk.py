@@ -69,7 +69,7 @@ class ChunkJob:
         success = found.get(SUCCESS, np.zeros(len(numbers), bool)).astype(bool)
         values = {name: drawn[:, i] for i, name in enumerate(self.study.names)}
         values |= self._stored(found, numbers, success)
-        self.store.write_values(cases.start, values)
+        self.store.write_values(cases.start, self._fills(values, len(numbers)) | values)
         report = ChunkReport(index, len(numbers), int(np.sum(success)), time.perf_counter() - began, busy)
         facts = {
             "cases": report.cases,
@@ -83,7 +83,7 @@ class ChunkJob:
     def _stored(
         self, found: dict[str, np.ndarray], numbers: np.ndarray, success: np.ndarray
     ) -> dict[str, np.ndarray]:
-        """Results without the trajectories that are not kept."""
+        """Results without trajectories if none is chosen."""
         paths = {name for name, quantity in self.layout.quantities.items() if quantity.trajectory}
         values = {name: array for name, array in found.items() if name not in paths}
         if not paths:
@@ -93,6 +93,14 @@ class ChunkJob:
         if np.any(chosen):
             for name in paths:
                 rows = chosen.reshape(-1, *([1] * (found[name].ndim - 1)))
-                fill = np.nan if np.issubdtype(found[name].dtype, np.floating) else 0
-                values[name] = np.where(rows, found[name], np.asarray(fill, found[name].dtype))
+                values[name] = np.where(rows, found[name], self._fill(name))
         return values
+
+    def _fills(self, values: dict[str, np.ndarray], count: int) -> dict[str, np.ndarray]:
+        """Fill values of trajectories that are not stored: an earlier call may have written some, and no marker."""
+        missing = [(n, q) for n, q in self.layout.quantities.items() if n not in values]
+        return {name: np.full((count, *q.shape), self._fill(name)) for name, q in missing}
+
+    def _fill(self, name: str) -> np.ndarray:
+        dtype = self.layout.quantities[name].dtype
+        return np.asarray(np.nan if np.issubdtype(dtype, np.floating) else 0, dtype)

@@ -146,7 +146,7 @@ class SciPy:
     """Any frozen distribution of ``scipy.stats``.
 
     Raises:
-        InvalidStudy: if the object has no quantile function.
+        InvalidStudy: if the object has no quantile function, or its parameters are outside of their range.
 
     Example:
         >>> import numpy as np, scipy.stats
@@ -161,6 +161,15 @@ class SciPy:
             callable(getattr(self.frozen, "ppf", None)),
             f"SciPy: expected a frozen distribution, scipy.stats.gamma(2.0) say, got {self.frozen!r}.",
         )
+        if callable(support := getattr(self.frozen, "support", None)):
+            # SciPy raises nothing for wrong parameters: limits and quantiles are NaN
+            _require(not np.any(np.isnan(np.asarray(support(), float))), f"SciPy: {self._text()}.")
+
+    def _text(self) -> str:
+        family = getattr(getattr(self.frozen, "dist", None), "name", type(self.frozen).__name__)
+        fields = getattr(self.frozen, "kwds", {})
+        given = [*map(str, getattr(self.frozen, "args", ())), *(f"{k} = {v}" for k, v in fields.items())]
+        return f"scipy.stats.{family} has no values for {', '.join(given)}; they are outside of their range"
 
     def quantile(self, u: Uniforms) -> Uniforms:
         """See ``Distribution``."""

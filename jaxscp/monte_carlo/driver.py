@@ -14,13 +14,15 @@ from jaxscp.monte_carlo.chunk import ChunkJob, ChunkReport, Evaluator
 from jaxscp.monte_carlo.engines import Engine, InProcess, Opened
 from jaxscp.monte_carlo.errors import InvalidStudy, SweepError, extra
 from jaxscp.monte_carlo.intervals import wilson
-from jaxscp.monte_carlo.outcome import SUCCESS, Outcome
+from jaxscp.monte_carlo.outcome import SUCCESS, Outcome, check_parameters, names_in_use
 from jaxscp.monte_carlo.progress import Progress, Silent, Snapshot
-from jaxscp.monte_carlo.results import Sweep, study_of
+from jaxscp.monte_carlo.results import Sweep, known_identity, stored_cases, study_of
+from jaxscp.monte_carlo.solves import Solves
 from jaxscp.monte_carlo.stopping import Ending, Observed, Stop
-from jaxscp.monte_carlo.storage import CONFIGURATION, ENDING, LOCK, Layout, Store
+from jaxscp.monte_carlo.storage import ENDING, LOCK, Layout, Store
 from jaxscp.monte_carlo.study import Study
 from jaxscp.monte_carlo.trajectories import Keep, NoTrajectories
+from jaxscp.planner.planner import Planner
 
 CHUNK = 100
 
@@ -86,11 +88,12 @@ def _run(asked: _Request) -> Sweep:
     began, study, store = time.perf_counter(), asked.study, asked.store
     try:
         with _writing(store), asked.engine.opened() as opened:
+            resumed = store.configuration() is not None
             run = _Run(_prepared(asked, opened), asked.stop, asked.progress, began)
-            run.go(opened)
+            run.go(opened, resumed)
             run.end()
     except KeyboardInterrupt:
-        count = Sweep(store).complete if store.read(CONFIGURATION) else 0
+        count = stored_cases(store)
         asked.progress.message(
             f"ended: {count} of {study.count} cases are stored; the same sweep goes on from there"
         )
@@ -118,22 +121,38 @@ def _check(study: Study, stop: tuple[Stop, ...], chunk: int) -> None:
 
 def _prepared(asked: _Request, engine: Opened) -> ChunkJob:
     study, store = asked.study, asked.store
-    identity = study.identity()
-    stored = store.read(CONFIGURATION)
+    identity = known_identity(study)
+    stored = store.configuration()
     if stored is not None:
         store.check(stored, identity)
         layout = Layout.of(stored)
+        if damaged := store.repair(layout):
+            asked.progress.message(f"damaged, and made again: {_listed(damaged)}")
     else:
         store.check_empty()
         units = {parameter.name: parameter.unit for parameter in study.parameters}
-        found = engine.quantities(study)
-        if both := sorted(set(units) & set(found)):
+        check_parameters(units)
+        asked.progress.message(_starting(study, 0))
+        found = engine.quantities(study)  # runs the base
+        if both := sorted(set(units) & {*found, *names_in_use(found)}):
             raise InvalidStudy(
                 f"parameters: {both[0]!r} is the name of a result too; name the parameter otherwise."
             )
         layout = Layout(study.count, min(asked.chunk, study.count), units, found)
         store.create(identity, layout)
     return ChunkJob(study, engine.evaluator, store, layout, asked.keep)
+
+
+def _listed(things: list[Any]) -> str:
+    text = ", ".join(map(str, things[:3]))
+    return text if len(things) <= 3 else f"{text} and {len(things) - 3} more"
+
+
+def _starting(study: Study, stored: int) -> str:
+    """Line that tells what takes long before the first progress."""
+    cases = f"{study.count} cases" + (f", {stored} of them stored" if stored else "")
+    compiles = isinstance(study.run, Planner | Solves)
+    return f"{cases}: {'compiling first' if compiles else 'starting'}, results follow ..."
 
 
 @contextlib.contextmanager
@@ -165,23 +184,38 @@ class _Run:
         self._first = functools.cache(
             self._read
         )  # complete cases change no more, and rules ask at every chunk
+        for rule in stop:  # now, not at the first look, which may be hours away
+            if isinstance(of := getattr(rule, "of", None), str):
+                self._array(of)
         self._sound()
 
     def _sound(self) -> None:
         """Read finished chunks back; those that do not agree with their checksum are computed again."""
         store, layout = self.job.store, self.job.layout
-        for index in store.done():
-            about = store.facts(index, layout.cases(index))
-            if about is None:
-                self.progress.message(f"chunk {index} is damaged, and computed again")
-            else:
+        known = [index for index in store.done() if index < layout.chunks]
+        for index in known:
+            if (about := store.facts(index, layout.cases(index))) is not None:
                 self.done[index] = about["successes"]
+        ending = store.read(ENDING)
+        cases = ending.get("cases") if isinstance(ending, dict) else None
+        finished = min(-(-cases // layout.chunk), layout.chunks) if isinstance(cases, int) else 0
+        for what, chunks in (
+            ("damaged", [index for index in known if index not in self.done]),
+            ("missing", [index for index in range(finished) if index not in known]),
+        ):
+            if chunks:
+                are = "is" if len(chunks) == 1 else "are"
+                self.progress.message(f"chunk {_listed(chunks)} {are} {what}, and computed again")
 
-    def go(self, engine: Opened) -> None:
+    def go(self, engine: Opened, resumed: bool) -> None:
         """Compute the missing chunks, until a rule ends the sweep."""
-        missing = [index for index in range(self.job.layout.chunks) if index not in self.done]
+        layout = self.job.layout
+        missing = [index for index in range(layout.chunks) if index not in self.done]
         if self._enough() or not missing:
             return
+        if resumed:
+            self.progress.message(_starting(self.job.study, self.snapshot().done))
+        self.job.store.remove(ENDING)  # of an earlier call: more cases are to come
         with contextlib.closing(engine.chunks(self.job, missing)) as reports:
             for report in reports:
                 self._take(report)
@@ -208,10 +242,13 @@ class _Run:
 
     def _read(self, name: str, cases: int) -> np.ndarray:
         """Values of a result in cases 0 to ``cases`` - 1."""
+        return np.asarray(self._array(name)[:cases])
+
+    def _array(self, name: str) -> Any:
         arrays = self.job.store.arrays
         if name not in arrays:
             raise InvalidStudy(f"stop: no result is called {name!r}; there are {', '.join(sorted(arrays))}.")
-        return np.asarray(arrays[name][:cases])
+        return arrays[name]
 
     def end(self) -> None:
         """Store where the sweep ended."""

@@ -9,10 +9,13 @@ import io
 import multiprocessing
 import os
 import pickle
+import signal
 import sys
+import threading
+import time
 import types
 from collections.abc import Generator, Iterable, Iterator
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 
@@ -96,30 +99,38 @@ class Workers:
     def quantities(self, study: Study) -> dict[str, Quantity]:
         """See ``Opened``."""
         payload = _packed((study, self.evaluator))
-        return self.executor.submit(_quantities, payload).result()
+        with _blaming_workers():
+            return self.executor.submit(_quantities, payload).result()
 
     def chunks(self, job: ChunkJob, indices: Iterable[int]) -> Generator[ChunkReport, None, None]:
         """See ``Opened``."""
         payload, pending, rest = _packed(job), set(), iter(indices)
         try:
-            while True:
-                for index in rest:
-                    pending.add(self.executor.submit(_run, payload, index))
-                    if len(pending) >= self.in_flight:
-                        break
-                if not pending:
-                    return
-                done, pending = concurrent.futures.wait(pending, return_when="FIRST_COMPLETED")
-                for future in done:
-                    yield future.result()
-        except concurrent.futures.BrokenExecutor as error:
-            raise SweepError(
-                "a worker process ended, perhaps for lack of memory. Finished chunks are stored: run the same sweep "
-                "again, with fewer workers perhaps."
-            ) from error
+            with _blaming_workers():
+                while True:
+                    for index in rest:
+                        pending.add(self.executor.submit(_run, payload, index))
+                        if len(pending) >= self.in_flight:
+                            break
+                    if not pending:
+                        return
+                    done, pending = concurrent.futures.wait(pending, return_when="FIRST_COMPLETED")
+                    for future in done:
+                        yield future.result()
         finally:
             for future in pending:
                 future.cancel()
+
+
+@contextlib.contextmanager
+def _blaming_workers() -> Iterator[None]:
+    try:
+        yield
+    except concurrent.futures.BrokenExecutor as error:
+        raise SweepError(
+            "a worker process ended, perhaps for lack of memory. Finished chunks are stored: run the same sweep "
+            "again, with fewer workers perhaps."
+        ) from error
 
 
 @dataclasses.dataclass(frozen=True)
@@ -140,34 +151,74 @@ class Processes:
     def opened(self) -> Iterator[Workers]:
         """See ``Engine``: starts the processes, and ends them."""
         context = multiprocessing.get_context("spawn")  # a fork would copy JAX's threads in any state
-        counter = context.Value("i", 0)
-        pool = concurrent.futures.ProcessPoolExecutor(
-            self.count, mp_context=context, initializer=_started, initargs=(counter, self.count, os.getpid())
-        )
+        shared = _Shared(context.Value("i", 0), self.count, os.getpid(), context.RawValue("b", 0))
+        pool = _Pool(self.count, mp_context=context, initializer=_started, initargs=(shared,))
         try:
             yield Workers(pool, self.evaluator, 2 * self.count)
+        except KeyboardInterrupt:
+            shared.interrupted.value = 1
+            raise
         finally:
             pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _started(counter: Any, count: int, parent: int) -> None:
-    """Set up a worker: its cores, no answer to Ctrl-C (the parent answers), and an end with the parent's."""
-    import signal
-    import threading
-    import time
+class _Pool(concurrent.futures.ProcessPoolExecutor):
+    """Starts its workers when they are needed, and whole: Ctrl-C meanwhile would end them with tracebacks."""
 
+    def submit(self, *arguments: Any, **more: Any) -> Any:
+        """See ``Executor``."""
+        with _after_interrupts():
+            return super().submit(*arguments, **more)
+
+
+@contextlib.contextmanager
+def _after_interrupts() -> Iterator[None]:
+    """Ctrl-C counts after the block. Processes that the block starts inherit that this thread does not hear of it."""
+    main = threading.current_thread() is threading.main_thread()
+    handler = signal.getsignal(signal.SIGINT)
+    if not main or handler is None or not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    noted: list[int] = []
+    signal.signal(signal.SIGINT, lambda number, frame: noted.append(number))
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        signal.signal(signal.SIGINT, handler)
+        if noted:
+            signal.raise_signal(signal.SIGINT)
+
+
+class _Shared(NamedTuple):
+    """What workers share with their parent."""
+
+    counter: Any
+    """Workers so far; has a lock."""
+    count: int
+    """Of workers."""
+    parent: int
+    """Its process."""
+    interrupted: Any
+    """Whether the parent got Ctrl-C. Without a lock, which a worker could keep when it is killed."""
+
+
+def _started(shared: _Shared) -> None:
+    """Set up a worker: its cores, no answer to Ctrl-C (the parent answers), and an end with the parent's."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with counter.get_lock():
-        number = counter.value
-        counter.value += 1
+    with shared.counter.get_lock():
+        number = shared.counter.value
+        shared.counter.value += 1
     if hasattr(os, "sched_setaffinity"):
         cores = sorted(os.sched_getaffinity(0))
-        share = cores[number % count :: count] or cores
+        share = cores[number % shared.count :: shared.count] or cores
         os.sched_setaffinity(0, share)
 
     def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(1.0)
+        # compilation cannot be interrupted, and chunks without a marker are computed again: end at once
+        while os.getppid() == shared.parent and not shared.interrupted.value:
+            time.sleep(0.2)
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()

@@ -1,8 +1,10 @@
 """How one process runs cases: one after another, or many at once under ``vmap``."""
 
+import contextlib
 import dataclasses
 import functools
 import time
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import jax
@@ -11,12 +13,14 @@ import numpy as np
 from jaxscp.aot.aot import batched
 from jaxscp.core.status import STATUS_NAMES
 from jaxscp.core.threads import in_order, usable_cores
-from jaxscp.monte_carlo.errors import SweepError
+from jaxscp.monte_carlo.errors import InvalidStudy, SweepError
 from jaxscp.monte_carlo.outcome import (
     STATUS,
+    SUCCESS,
     Outcome,
     Quantity,
     as_arrays,
+    check_results,
     outcome_of,
     quantities,
     traced_arrays,
@@ -27,6 +31,14 @@ from jaxscp.monte_carlo.solves import Solves
 from jaxscp.monte_carlo.study import ById, Study
 from jaxscp.planner.planner import Planner
 from jaxscp.problem.errors import InvalidProblem, InvalidScenario
+
+_WORDS = {
+    "b": "a boolean",
+    "i": "a whole number",
+    "u": "a whole number",
+    "f": "a float",
+    "c": "a complex number",
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,9 +57,18 @@ class OneByOne:
             raise ValueError(f"OneByOne: workers must be 1 or more, got {self.workers}")
 
     def quantities(self, study: Study) -> dict[str, Quantity]:
-        """See ``Evaluator``. Runs the base once, which also compiles."""
-        value = jax.block_until_ready(study.run(study.base))
-        return quantities(outcome_of(value), units_of(value) | dict(study.units))
+        """See ``Evaluator``. Runs the base once, which also compiles.
+
+        Raises:
+            SweepError: if the function fails on the base, or returns other things than numbers.
+        """
+        with _blaming("the base"):
+            value = jax.block_until_ready(study.run(study.base))
+            outcome = outcome_of(jax.device_get(value))
+        found = quantities(outcome, units_of(value) | dict(study.units))
+        check_results(found)
+        agreeing(_as_one(outcome), found, lambda i: "the base")
+        return found
 
     def evaluate(
         self, study: Study, numbers: Numbers, drawn: UnitPoints, stored: dict[str, Quantity]
@@ -55,7 +76,7 @@ class OneByOne:
         """See ``Evaluator``.
 
         Raises:
-            SweepError: if the function fails; the message names the case.
+            SweepError: if the function fails, or its results are not those of the base; the message names the case.
         """
 
         def one(case: tuple[Any, Any]) -> tuple[dict[str, np.ndarray], float]:
@@ -63,7 +84,7 @@ class OneByOne:
 
         cases = zip(numbers, drawn, strict=True)
         rows, seconds = zip(*in_order(one, cases, self._threads(study)), strict=True)
-        return {name: np.stack([row[name] for row in rows]) for name in rows[0]}, sum(seconds)
+        return {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}, sum(seconds)
 
     def _threads(self, study: Study) -> int:
         safe = isinstance(study.run, Planner | Solves)
@@ -74,18 +95,35 @@ def _row(
     study: Study, number: Any, drawn: Any, stored: dict[str, Quantity]
 ) -> tuple[dict[str, np.ndarray], float]:
     """Results of one case, and seconds inside ``study.run``."""
-    case = study.insert(drawn)
-    began = time.perf_counter()
-    try:
-        value = jax.block_until_ready(study.run(case))
+    place = f"case {number}"
+    with _blaming(place):
+        case = study.insert(drawn)
+        began = time.perf_counter()
+        try:
+            value = jax.block_until_ready(study.run(case))
+        except (InvalidScenario, InvalidProblem):
+            if STATUS not in stored:
+                raise
+            return _invalid(stored), 0.0  # as under vmap
         seconds = time.perf_counter() - began
-        return as_arrays(outcome_of(jax.device_get(value))), seconds  # one copy, and no compiled indexing
-    except (InvalidScenario, InvalidProblem) as error:
-        if STATUS not in stored:
-            raise SweepError(f"case {number}: {error}") from error
-        return _invalid(stored), 0.0  # as under vmap
+        found = _as_one(outcome_of(jax.device_get(value)))  # one copy, and no compiled indexing
+    return agreeing(found, stored, lambda i: place), seconds
+
+
+def _as_one(outcome: Outcome) -> dict[str, np.ndarray]:
+    """Results of one case, (1, ...) each."""
+    return {name: array[None] for name, array in as_arrays(outcome).items()}
+
+
+@contextlib.contextmanager
+def _blaming(place: str) -> Iterator[None]:
+    """Errors of a study's function become a ``SweepError`` that says where."""
+    try:
+        yield
+    except (InvalidScenario, InvalidProblem, InvalidStudy) as error:
+        raise SweepError(f"{place}: {error}") from error
     except Exception as error:
-        raise SweepError(f"case {number}: run failed, {type(error).__name__}: {error}") from error
+        raise SweepError(f"{place}: run failed, {type(error).__name__}: {error}") from error
 
 
 def _invalid(stored: dict[str, Quantity]) -> dict[str, np.ndarray]:
@@ -93,9 +131,9 @@ def _invalid(stored: dict[str, Quantity]) -> dict[str, np.ndarray]:
 
     def empty(quantity: Quantity) -> np.ndarray:
         floating = np.issubdtype(quantity.dtype, np.floating)
-        return np.full(quantity.shape, np.nan if floating else 0, quantity.dtype)
+        return np.full((1, *quantity.shape), np.nan if floating else 0, quantity.dtype)
 
-    code = np.asarray(STATUS_NAMES.index("invalid_input"), stored[STATUS].dtype)
+    code = np.full(1, STATUS_NAMES.index("invalid_input"), stored[STATUS].dtype)
     return {name: empty(quantity) for name, quantity in stored.items()} | {STATUS: code}
 
 
@@ -118,7 +156,11 @@ class Together:
             )
 
     def quantities(self, study: Study) -> dict[str, Quantity]:
-        """See ``Evaluator``. Traces, and runs nothing."""
+        """See ``Evaluator``. Traces, and runs nothing.
+
+        Raises:
+            SweepError: if the function cannot be traced, or returns other things than numbers.
+        """
         units: dict[str, str] = {}
 
         def one(row: Any) -> Outcome:
@@ -127,21 +169,35 @@ class Together:
             return outcome_of(value)
 
         row = jax.ShapeDtypeStruct((len(study.parameters),), float)
-        return quantities(jax.eval_shape(one, row), units | dict(study.units))
+        with _blaming("the base"):
+            outcome = jax.eval_shape(one, row)
+        found = quantities(outcome, units | dict(study.units))
+        check_results(found)
+        return found
 
     def evaluate(
         self, study: Study, numbers: Numbers, drawn: UnitPoints, stored: dict[str, Quantity]
     ) -> tuple[dict[str, np.ndarray], float]:
-        """See ``Evaluator``."""
+        """See ``Evaluator``.
+
+        Raises:
+            SweepError: if the function fails, or its results are not those of the base.
+        """
         began, parts = time.perf_counter(), []
         program = _batched(self, ById(study))
         for start in range(0, len(drawn), self.size):
             rows = drawn[start : start + self.size]
             padded = np.concatenate([rows, np.repeat(rows[-1:], self.size - len(rows), axis=0)])
-            found = jax.device_get(program(padded))
-            parts.append({name: array[: len(rows)] for name, array in found.items()})
+            place = functools.partial(_place, numbers[start:])
+            with _blaming(f"{place(0)} and after"):
+                found = jax.device_get(program(padded))
+            parts.append(agreeing({name: array[: len(rows)] for name, array in found.items()}, stored, place))
         busy = time.perf_counter() - began
         return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}, busy
+
+
+def _place(numbers: Numbers, index: int) -> str:
+    return f"case {numbers[index]}"
 
 
 @functools.lru_cache(maxsize=2)
@@ -152,3 +208,69 @@ def _batched(how: Together, key: ById) -> Any:
         return traced_arrays(outcome_of(key.study.run(key.study.insert(row))))
 
     return jax.jit(batched(one, how.devices))
+
+
+def agreeing(
+    found: dict[str, np.ndarray], stored: dict[str, Quantity], place: Callable[[int], str]
+) -> dict[str, np.ndarray]:
+    """Results in their stored types, without a change of any value.
+
+    Args:
+        found: results by name, (cases, ...) each.
+        stored: types and shapes for one case, by name.
+        place: from an index of the cases to words for it: ``case 7``, say.
+
+    Raises:
+        SweepError: if a result is missing, or has another type or shape; it names the case and the result.
+    """
+    if missing := [name for name in stored if name not in found]:
+        raise SweepError(
+            f"{place(0)}: the result {missing[0]} is missing, which the base has. Return it in every case: NaN, say."
+        )
+    if more := [name for name in found if name not in stored]:
+        raise SweepError(
+            f"{place(0)}: the result {more[0]} is new, and the base has none. Return it from the base too."
+        )
+    return {name: _agreeing(name, found[name], quantity, place) for name, quantity in stored.items()}
+
+
+def _agreeing(name: str, array: np.ndarray, quantity: Quantity, place: Callable[[int], str]) -> np.ndarray:
+    expected = np.dtype(quantity.dtype)
+    shape = array.shape[1:]
+    if shape != quantity.shape:
+        raise SweepError(
+            f"{place(0)}: {name} has the shape {shape}; expected {quantity.shape}, as from the base. All cases have "
+            "the same shapes: fill up with NaN."
+        )
+    if array.dtype != expected:
+        array = _cast(name, array, expected, place)
+    if name == STATUS:
+        wrong = np.flatnonzero((array < 0) | (array >= len(STATUS_NAMES)))
+        if wrong.size:
+            raise SweepError(
+                f"{place(int(wrong[0]))}: {STATUS} is {array[wrong[0]]}; it must be a member of jaxscp.Status, 0 to "
+                f"{len(STATUS_NAMES) - 1}."
+            )
+    return array
+
+
+def _cast(name: str, array: np.ndarray, expected: np.dtype, place: Callable[[int], str]) -> np.ndarray:
+    """Whole numbers become any number that equals them, and other numbers a type that holds all of theirs."""
+    given, wrong = array.dtype, 0
+    if given.kind in "iu" and expected.kind in "iuf":
+        with np.errstate(over="ignore", invalid="ignore"):
+            new = array.astype(expected)
+            lost = ((new < 0) != (array < 0)) | (new.astype(given) != array) | ~np.isfinite(new)
+        places = np.flatnonzero(lost.reshape(len(array), -1).any(axis=1))
+        if places.size == 0:
+            return new
+        wrong = int(places[0])
+    elif given.kind in "fc" and expected.kind in "fc" and np.can_cast(given, expected, "safe"):
+        return array.astype(expected)
+    value = f"{array[wrong]} " if array.ndim == 1 else ""
+    hint = f"Return {_WORDS.get(given.kind, 'a number')} from the base too, or {expected} from every case."
+    if name == SUCCESS:
+        hint = "It must be True or False in every case."
+    raise SweepError(
+        f"{place(wrong)}: {name} is {value}({given}); expected {expected}, as from the base. {hint}"
+    )

@@ -1,5 +1,7 @@
 """What comes of a case: named numbers, and perhaps a trajectory."""
 
+import hashlib
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import jax
@@ -8,7 +10,7 @@ import numpy as np
 
 from jaxscp.core.arrays import namespace
 from jaxscp.core.status import STATUS_NAMES, Status
-from jaxscp.monte_carlo.errors import InvalidStudy
+from jaxscp.monte_carlo.errors import InvalidStudy, SweepError
 from jaxscp.monte_carlo.parameters import dotted_leaves
 from jaxscp.problem.trajectory import Trajectory
 from jaxscp.solver.solution import Solution
@@ -18,6 +20,10 @@ SUCCESS = "success"
 STATUS = "status"
 TRAJECTORY = "time", "state", "control", "dilation"
 """Stored arrays of a ``Trajectory``."""
+STORED = "trajectory_stored"
+"""Name of the array that says whose trajectories are stored."""
+_TAKEN = "case", STORED
+_NUMBERS = set("biufc")  # kinds of NumPy's types: booleans, whole numbers, floats, complex numbers
 _STATUS_TYPE = type(Status.converged)
 _CONVERGED = STATUS_NAMES.index("converged")
 
@@ -47,27 +53,42 @@ def outcome_of(value: Any) -> Outcome:
     """Named numbers and named arrays of a case, from a ``Solution``, an ``Outcome`` or a pytree of numbers.
 
     Raises:
-        InvalidStudy: if a number is an array.
+        InvalidStudy: if a number is an array or None, there is none, or two have the same name.
     """
     if isinstance(value, Solution):
         return Outcome(_solution_scalars(value), _arrays_of(value.trajectory))
     found = value if isinstance(value, Outcome) else Outcome(value)
-    scalars = dict(dotted_leaves(jax.tree.map(_number, found.scalars, is_leaf=_is_status)))
+    scalars = _by_name(jax.tree.map(_number, found.scalars, is_leaf=_is_status))
     if not scalars:
         raise InvalidStudy(
-            "run: its function returned no numbers; return a dictionary of them, or an Outcome(scalars, trajectory)."
+            "run returned no numbers; return a dictionary of them, or an Outcome(scalars, trajectory)."
         )
     for name, leaf in scalars.items():
         if np.shape(leaf) != ():
             raise InvalidStudy(
-                f"run: {name or 'its result'} has the shape {np.shape(leaf)}; results are numbers. Arrays go into "
+                f"{name or 'the result'} has the shape {np.shape(leaf)}; results are numbers. Arrays go into "
                 "Outcome(scalars, trajectory)."
             )
     numbers = {name or "value": leaf for name, leaf in scalars.items()}
     path = found.trajectory
     if isinstance(path, Trajectory):
         path = _arrays_of(path)
-    return Outcome(numbers, None if path is None else dict(dotted_leaves(path)))
+    return Outcome(numbers, None if path is None else _by_name(path))
+
+
+def _by_name(tree: Any) -> dict[str, Any]:
+    """Leaves by their dotted paths; None is an error, which JAX would leave out."""
+    for path, leaf in jax.tree_util.tree_leaves_with_path(tree, is_leaf=lambda leaf: leaf is None):
+        if leaf is None:
+            name = jax.tree_util.keystr(path, simple=True, separator=".")
+            raise InvalidStudy(f"{name or 'the result'} is None; return a number, float('nan') say.")
+    leaves = list(dotted_leaves(tree))
+    found = dict(leaves)
+    if len(found) < len(leaves):
+        names = [name for name, _ in leaves]
+        both = next(name for name in names if names.count(name) > 1)
+        raise InvalidStudy(f"two results are called {both!r}; name them differently.")
+    return found
 
 
 def _arrays_of(trajectory: Trajectory) -> dict[str, Any]:
@@ -149,3 +170,68 @@ def traced_arrays(outcome: Outcome) -> dict[str, jax.Array]:
     path = outcome.trajectory or {}
     found = dict(outcome.scalars) | {stored_name(name): leaf for name, leaf in path.items()}
     return {name: jnp.asarray(leaf) for name, leaf in found.items()}
+
+
+def check_parameters(names: Iterable[str]) -> None:
+    """Raise ``InvalidStudy`` if no array can have the name of a parameter."""
+    if wrong := [name for name in names if not names_an_array(name)]:
+        raise InvalidStudy(
+            f"parameters: no array can have the name {wrong[0]!r}; use letters, digits and '_', 200 at most."
+        )
+
+
+def names_an_array(name: str) -> bool:
+    """Whether an array of a Zarr group can have a name: it is the name of a folder.
+
+    Example:
+        >>> names_an_array("reach"), names_an_array("m/s"), names_an_array("..")
+        (True, False, False)
+    """
+    letters = name.isprintable() and not set(name) & set("/\\") and len(name.encode()) <= 200
+    return letters and name.strip(".") != "" and not name.startswith("__") and name != "zarr.json"
+
+
+def names_in_use(quantities: dict[str, Quantity]) -> set[str]:
+    """Names that no parameter or result may have: those of the sweep's own arrays and of axes."""
+    return {*_TAKEN, *(f"{name}_{axis}" for name, q in quantities.items() for axis in range(len(q.shape)))}
+
+
+def check_results(quantities: dict[str, Quantity]) -> None:
+    """Raise ``SweepError`` if a result of the base is no number, or has a wrong name.
+
+    Args:
+        quantities: results of the base, by name.
+    """
+    own = names_in_use(quantities)
+    for name, quantity in quantities.items():
+        about = f"the base: the result {name!r}"
+        if not names_an_array(name):
+            raise SweepError(
+                f"{about}: no array can have this name; use letters, digits and '_', 200 at most."
+            )
+        if name in own or (not quantity.trajectory and name.startswith(stored_name(""))):
+            raise SweepError(f"{about}: the sweep itself uses this name; give the result another one.")
+        _check_type(name, quantity.dtype)
+
+
+def _check_type(name: str, dtype: str) -> None:
+    try:
+        kind = np.dtype(dtype).kind
+    except TypeError:  # a type of JAX alone
+        kind = ""
+    if kind not in _NUMBERS:
+        raise SweepError(f"the base: {name} has the type {dtype}; results are numbers that NumPy stores.")
+    if name == SUCCESS and kind != "b":
+        raise SweepError(f"the base: {name} has the type {dtype}; it must be True or False.")
+    if name == STATUS and kind not in "iu":
+        raise SweepError(f"the base: {name} has the type {dtype}; it must be a member of jaxscp.Status.")
+
+
+def checksum(values: dict[str, np.ndarray]) -> str:
+    """SHA-256 of names and values."""
+    digest = hashlib.sha256()
+    for name in sorted(values):
+        array = np.ascontiguousarray(values[name])
+        digest.update(f"{name} {array.dtype} {array.shape} ".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()

@@ -154,4 +154,5 @@ class Bar:
 
     def close(self) -> None:
         """See ``Progress``."""
-        self._bar.stop()
+        if self._task is not None:  # rich prints an empty line even where nothing was begun
+            self._bar.stop()

@@ -9,10 +9,11 @@ from jaxtyping import Int
 
 from jaxscp.core.status import STATUS_NAMES
 from jaxscp.monte_carlo.errors import InvalidStudy, SweepError, extra
+from jaxscp.monte_carlo.identity import unknown
 from jaxscp.monte_carlo.intervals import Interval
 from jaxscp.monte_carlo.outcome import STATUS, TRAJECTORY
 from jaxscp.monte_carlo.stopping import Ending
-from jaxscp.monte_carlo.storage import CONFIGURATION, DATA, ENDING, STORED, Layout, Store
+from jaxscp.monte_carlo.storage import DATA, ENDING, STORED, Layout, Store
 from jaxscp.monte_carlo.study import Study
 from jaxscp.problem.trajectory import Trajectory
 
@@ -26,21 +27,25 @@ class Sweep:
     """
 
     def __init__(self, store: Store, study: Study | None = None):
-        stored = store.read(CONFIGURATION)
+        stored = store.configuration()
         if stored is None:
             raise SweepError(f"{store.address}: holds no sweep.")
         self.store, self.study, self.layout = store, study, Layout.of(stored)
         self.independent = stored["study"]["sampling"].get("independent") is True
         """Whether cases are independent, so that intervals hold."""
-        ending = store.read(ENDING)
-        self.ending = None if ending is None else _ending(ending)
+        self.ending = _ending(store, self.layout.count)
         """Where the sweep ended, and why; None if it has not."""
         done = [i for i in store.done() if i < self.layout.chunks]
         cases = [np.arange(self.layout.cases(i).start, self.layout.cases(i).stop) for i in done]
         numbers = np.concatenate([np.zeros(0, int), *cases])
-        self.numbers: Int[np.ndarray, "cases"] = (
-            numbers if ending is None else numbers[numbers < ending["cases"]]
-        )
+        if self.ending is not None:
+            numbers = numbers[numbers < self.ending.cases]
+            if len(numbers) < self.ending.cases:
+                raise SweepError(
+                    f"{store.address}: {self.ending.cases - len(numbers)} of {self.ending.cases} cases are missing: "
+                    "they have no marker in done. Run the same sweep again: it computes them anew."
+                )
+        self.numbers: Int[np.ndarray, "cases"] = numbers
         """Cases of the tables."""
 
     @property
@@ -146,9 +151,43 @@ def study_of(sweep: Sweep | Study) -> Study:
     return study
 
 
-def _ending(stored: dict[str, Any]) -> Ending:
-    interval = stored["interval"]
-    return Ending(stored["cases"], stored["reason"], interval and Interval(*interval), stored["of"])
+def known_identity(study: Study) -> dict[str, Any]:
+    """The study as plain data.
+
+    Raises:
+        InvalidStudy: if an object has no content to compare, and the study no version.
+    """
+    identity = study.identity()
+    if not study.version and (found := next(unknown(identity), None)):
+        raise InvalidStudy(
+            f"{found[0]}: this object ({found[1]}) has no content to compare, so that a changed study would go "
+            "unnoticed. Give the study a version=, and another one whenever the object changes."
+        )
+    return identity
+
+
+def stored_cases(store: Store) -> int:
+    """Number of stored cases; zero of a damaged folder."""
+    try:
+        return Sweep(store).complete
+    except SweepError:
+        return 0
+
+
+def _ending(store: Store, count: int) -> Ending | None:
+    if not store.has(ENDING):
+        return None
+    stored = store.read(ENDING)
+    try:
+        interval = stored["interval"] and Interval(*map(float, stored["interval"]))
+        found = Ending(int(stored["cases"]), str(stored["reason"]), interval, str(stored["of"]))
+    except (KeyError, TypeError, ValueError):
+        found = None
+    if found is None or not 0 <= found.cases <= count:
+        raise SweepError(
+            f"{store.address}: {ENDING} is damaged. Run the same sweep again: it writes it anew."
+        )
+    return found
 
 
 def open_sweep(address: str | os.PathLike, study: Study | None = None) -> Sweep:
@@ -164,7 +203,8 @@ def open_sweep(address: str | os.PathLike, study: Study | None = None) -> Sweep:
     found = Sweep(Store(address), study)
     store, layout = found.store, found.layout
     if study is not None:
-        store.check(store.read(CONFIGURATION) or {}, study.identity())
+        store.check(store.configuration() or {}, study.identity())
+    store.check_arrays(layout)
     damaged = [i for i in store.done() if i < layout.chunks and store.facts(i, layout.cases(i)) is None]
     if damaged:
         raise SweepError(

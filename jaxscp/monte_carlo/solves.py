@@ -7,6 +7,7 @@ import equinox as eqx
 
 from jaxscp.problem.problem import OptimalControlProblem
 from jaxscp.problem.trajectory import Trajectory
+from jaxscp.solver.request import request
 from jaxscp.solver.solution import Solution
 from jaxscp.solver.solver import Solver
 
@@ -24,5 +25,13 @@ class Solves(eqx.Module):
 
     def __call__(self, problem: OptimalControlProblem) -> Solution:
         """The solution of one case."""
+        return self.solver(problem, self._guess_for(problem))
+
+    def check(self, problem: OptimalControlProblem) -> None:
+        """Raise ``InvalidProblem`` if a case contradicts itself. Solves nothing."""
+        asked = request(problem, self._guess_for(problem))
+        asked.check(asked.usual_nodes())
+
+    def _guess_for(self, problem: OptimalControlProblem) -> Any:
         guess: Any = self.guess
-        return self.solver(problem, guess if isinstance(guess, Trajectory | Solution) else guess(problem))
+        return guess if isinstance(guess, Trajectory | Solution) else guess(problem)

@@ -8,10 +8,11 @@
 A worker writes the values of a chunk first, and its marker last. A chunk without a marker counts as not computed.
 """
 
+import contextlib
 import dataclasses
-import hashlib
 import json
 import os
+import re
 from typing import Any
 
 import numpy as np
@@ -19,12 +20,11 @@ import numpy as np
 from jaxscp.core.status import STATUS_NAMES
 from jaxscp.monte_carlo.errors import SweepError, extra
 from jaxscp.monte_carlo.identity import differences
-from jaxscp.monte_carlo.outcome import STATUS, Quantity
+from jaxscp.monte_carlo.outcome import STATUS, STORED, Quantity, checksum
 
 FORMAT = 1
 CONFIGURATION, ENDING, LOCK = "configuration.json", "ending.json", "writing.lock"
 DATA, DONE = "data.zarr", "done"
-STORED = "trajectory_stored"
 
 
 class Store:
@@ -51,13 +51,43 @@ class Store:
         """Whether the folder lies on a file system of this machine."""
         return "://" not in self.address or self.address.startswith("file://")
 
-    def read(self, name: str) -> dict[str, Any] | None:
-        """A JSON file of the folder; None if it is missing or damaged."""
+    def read(self, name: str) -> Any:
+        """Content of a JSON file of the folder; None if it is missing or no JSON."""
         fs, root = self.files
         try:
             return json.loads(fs.cat_file(f"{root}/{name}"))
         except (FileNotFoundError, ValueError):
             return None
+
+    def has(self, name: str) -> bool:
+        """Whether the folder has such a file."""
+        return self.files[0].exists(f"{self.files[1]}/{name}")
+
+    def remove(self, name: str) -> None:
+        """Remove a file of the folder, if it is there."""
+        fs, root = self.files
+        with contextlib.suppress(FileNotFoundError):
+            fs.rm_file(f"{root}/{name}")
+
+    def configuration(self) -> dict[str, Any] | None:
+        """The configuration; None if the folder holds no sweep.
+
+        Raises:
+            SweepError: if it is damaged, or missing beside finished chunks, or of another version of jaxscp.
+        """
+        stored = self.read(CONFIGURATION)
+        if isinstance(stored, dict) and stored.get("format", FORMAT) != FORMAT:
+            raise SweepError(f"{self.address}: its format is {stored['format']}, not {FORMAT}.")
+        if Layout.readable(stored):
+            return stored
+        found = self.has(CONFIGURATION)
+        if not found and not self.done() and not self.has(ENDING):
+            return None
+        raise SweepError(
+            f"{self.address}: {CONFIGURATION} is {'damaged' if found else 'missing'}, and nothing else says which "
+            f"study the folder holds. Restore this file from a copy; or delete the folder {self.address}, and run the "
+            "sweep again: it computes all cases."
+        )
 
     def write(self, name: str, content: dict[str, Any]) -> None:
         """Write a JSON file of the folder at once: under another name first, where a file system allows that."""
@@ -74,8 +104,57 @@ class Store:
     def arrays(self) -> dict[str, Any]:
         """The Zarr arrays by name, opened once a process."""
         if self._arrays is None:
-            self._arrays = dict(extra("zarr").open_group(f"{self.address}/{DATA}", mode="r+").arrays())
+            layout = Layout.of(self.configuration() or {})
+            self.check_arrays(layout)
+            group = extra("zarr").open_group(f"{self.address}/{DATA}", mode="r+")
+            self._arrays = {name: group[name] for name in layout.arrays()}
         return self._arrays
+
+    def check_arrays(self, layout: "Layout") -> None:
+        """Raise ``SweepError`` if an array cannot be opened."""
+        if names := self._unreadable(layout):
+            raise SweepError(
+                f"{self.address}: {DATA} is damaged ({names[0]}, say). Run the same sweep again: it computes what is "
+                "lost anew."
+            )
+
+    def _unreadable(self, layout: "Layout") -> list[str]:
+        """Arrays whose metadata are missing, damaged, or not those of the configuration."""
+        zarr = extra("zarr")
+        try:
+            group = zarr.open_group(f"{self.address}/{DATA}", mode="r")
+        except Exception:  # damaged metadata fail with any error
+            return list(layout.arrays())
+
+        def sound(name: str) -> bool:
+            try:
+                array = group[name]
+                return (array.shape, array.chunks, str(array.dtype)) == layout.metadata(name)
+            except Exception:  # as above
+                return False
+
+        return [name for name in layout.arrays() if not sound(name)]
+
+    def repair(self, layout: "Layout") -> list[str]:
+        """Make metadata that are missing or damaged anew; values stay, and their checksums decide.
+
+        Returns:
+            Names of the arrays.
+        """
+        fs, root = self.files
+        fs.makedirs(f"{root}/{DONE}", exist_ok=True)
+        if not self._unreadable(layout):
+            return []
+        zarr, address = extra("zarr"), f"{self.address}/{DATA}"
+        try:
+            group = zarr.open_group(address, mode="r+")
+        except Exception:  # as above
+            self.remove(f"{DATA}/zarr.json")
+            group = zarr.open_group(address, mode="a")
+        for name in (names := self._unreadable(layout)):
+            self.remove(f"{DATA}/{name}/zarr.json")
+            layout.create_array(group, name)
+        return names or [DATA]
 
     def check_empty(self) -> None:
         """Raise ``SweepError`` if the folder holds other files."""
@@ -91,15 +170,13 @@ class Store:
         """Make the arrays, and write the configuration last."""
         fs, root = self.files
         fs.makedirs(f"{root}/{DONE}", exist_ok=True)
-        layout.create(f"{self.address}/{DATA}")
-        self.write(CONFIGURATION, {"format": FORMAT, "study": identity, **layout.plain()})
+        group = extra("zarr").open_group(f"{self.address}/{DATA}", mode="w")
+        for name in layout.arrays():
+            layout.create_array(group, name)
+        self.write(CONFIGURATION, {"format": FORMAT, "study": identity, **dataclasses.asdict(layout)})
 
     def check(self, stored: dict[str, Any], identity: dict[str, Any]) -> None:
         """Raise ``SweepError`` if the folder holds another study; the message says what differs."""
-        if stored.get("format") != FORMAT:
-            raise SweepError(
-                f"{self.address}: has the format {stored.get('format')}, and this version reads {FORMAT}."
-            )
         if lines := differences(stored["study"], json.loads(json.dumps(identity))):
             raise SweepError(
                 f"{self.address}: holds another sweep. Old and new results do not mix; name a new folder, or restore "
@@ -123,23 +200,21 @@ class Store:
     def facts(self, index: int, cases: slice) -> dict[str, Any] | None:
         """Facts about a chunk with a marker that reads back with its checksum; None of a damaged one."""
         about = self.read(marker(index))
-        if about is None:
-            return None
         try:
             found = checksum({name: self.arrays[name][cases] for name in about["names"]})
+            whole = found == about["checksum"] and isinstance(about["successes"], int)
         except Exception:  # a damaged file fails in its codec, with any error
             return None
-        return about if found == about["checksum"] else None
+        return about if whole else None
 
     def done(self) -> list[int]:
         """Chunks that have a marker."""
         fs, root = self.files
-        try:
+        with contextlib.suppress(FileNotFoundError):
             names = fs.ls(f"{root}/{DONE}", detail=False, refresh=True)
-        except FileNotFoundError:
-            return []
-        stems = [name.rpartition("/")[2] for name in names if name.endswith(".json")]
-        return sorted(int(stem.removesuffix(".json")) for stem in stems)
+            found = [re.search(r"/([0-9]{6,})\.json$", name) for name in names]
+            return sorted(int(match[1]) for match in found if match)
+        return []
 
 
 @dataclasses.dataclass(frozen=True)
@@ -167,41 +242,55 @@ class Layout:
         """Cases of a chunk."""
         return slice(index * self.chunk, min((index + 1) * self.chunk, self.count))
 
-    def plain(self) -> dict[str, Any]:
-        """For JSON."""
-        return dataclasses.asdict(self)
-
     @staticmethod
     def of(stored: dict[str, Any]) -> "Layout":
         """From the configuration of a folder."""
         found = {n: Quantity(d, tuple(s), u, t) for n, (d, s, u, t) in stored["quantities"].items()}
         return Layout(stored["count"], stored["chunk"], stored["parameters"], found)
 
-    def create(self, address: str) -> None:
-        """Make the arrays, all of fill values."""
-        zarr = extra("zarr")
-        group = zarr.open_group(address, mode="w")
-        for name, unit in self.parameters.items():
-            self._array(group, name, Quantity("float64", (), unit, False), {"role": "parameter"})
-        for name, quantity in self.quantities.items():
-            self._array(group, name, quantity, {"role": "trajectory" if quantity.trajectory else "result"})
-        if any(q.trajectory for q in self.quantities.values()):
-            self._array(group, STORED, Quantity("bool", (), "", False), {"role": "result"})
+    @staticmethod
+    def readable(stored: Any) -> bool:
+        """Whether a configuration has all that ``of`` and results need."""
+        try:
+            layout = Layout.of(stored)
+            arrays = [np.dtype(q.dtype) for q in layout.arrays().values()]
+            same = stored["study"]["sampling"].get("count", layout.count) == layout.count
+            return same and min(layout.count, layout.chunk, len(arrays)) >= 1
+        except Exception:  # any content may stand there
+            return False
 
-    def _array(self, group: Any, name: str, quantity: Quantity, attributes: dict[str, Any]) -> None:
+    def arrays(self) -> dict[str, Quantity]:
+        """All arrays by name."""
+        found = {name: Quantity("float64", (), unit, False) for name, unit in self.parameters.items()}
+        found |= self.quantities
+        if any(q.trajectory for q in self.quantities.values()):
+            found[STORED] = Quantity("bool", (), "", False)
+        return found
+
+    def metadata(self, name: str) -> tuple[tuple[int, ...], tuple[int, ...], str]:
+        """Shape, chunks and type of an array."""
+        quantity = self.arrays()[name]
+        chunks = (self.chunk, *(max(n, 1) for n in quantity.shape))
+        return (self.count, *quantity.shape), chunks, quantity.dtype
+
+    def create_array(self, group: Any, name: str) -> None:
+        """Make one array in a Zarr group."""
+        quantity = self.arrays()[name]
+        role = "trajectory" if quantity.trajectory else "parameter" if name in self.parameters else "result"
+        attributes: dict[str, Any] = {"role": role}
         if quantity.unit:
             attributes["units"] = quantity.unit
         if name == STATUS and np.issubdtype(quantity.dtype, np.integer):
             attributes["flag_values"] = list(range(len(STATUS_NAMES)))
             attributes["flag_meanings"] = " ".join(STATUS_NAMES)
-        inner = tuple(f"{name}_{axis}" for axis in range(len(quantity.shape)))
+        shape, chunks, dtype = self.metadata(name)
         group.create_array(
             name,
-            shape=(self.count, *quantity.shape),
-            chunks=(self.chunk, *(max(n, 1) for n in quantity.shape)),
-            dtype=quantity.dtype,
-            fill_value=np.nan if np.issubdtype(quantity.dtype, np.floating) else 0,
-            dimension_names=("case", *inner),
+            shape=shape,
+            chunks=chunks,
+            dtype=dtype,
+            fill_value=np.nan if np.issubdtype(dtype, np.floating) else 0,
+            dimension_names=("case", *(f"{name}_{axis}" for axis in range(len(quantity.shape)))),
             attributes=attributes,
         )
 
@@ -209,13 +298,3 @@ class Layout:
 def marker(index: int) -> str:
     """File that says that a chunk is complete."""
     return f"{DONE}/{index:06d}.json"
-
-
-def checksum(values: dict[str, np.ndarray]) -> str:
-    """SHA-256 of names and values."""
-    digest = hashlib.sha256()
-    for name in sorted(values):
-        array = np.ascontiguousarray(values[name])
-        digest.update(f"{name} {array.dtype} {array.shape} ".encode())
-        digest.update(array.tobytes())
-    return digest.hexdigest()

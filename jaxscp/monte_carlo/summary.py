@@ -9,11 +9,15 @@ from jaxscp.core.status import STATUS_NAMES, Status
 from jaxscp.monte_carlo.intervals import CONFIDENCE, Interval, wilson
 from jaxscp.monte_carlo.outcome import STATUS, SUCCESS
 from jaxscp.monte_carlo.results import Sweep
+from jaxscp.monte_carlo.solves import Solves
+from jaxscp.planner.planner import Planner
+from jaxscp.problem.errors import InvalidProblem, InvalidScenario
 
 QUANTILES = (0.05, 0.5, 0.95)
 RESAMPLES = 1000
 WORST = 10
 VIOLATION = "violation"
+INVALID = "invalid_input"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,6 +37,8 @@ class Summary:
     """Cases to look at: failures first, then by violation."""
     units: dict[str, str]
     ending: str = ""
+    first_invalid: str = ""
+    """Why the first invalid case is invalid; empty if there is none, or the study is not at hand."""
 
     def text(self) -> str:
         """Lines for people."""
@@ -41,6 +47,8 @@ class Summary:
             lines.append(f"success: {_percent(self.share)}")
         for name, count in self.statuses.items():
             cause = "" if name == "converged" else f": {Status[getattr(Status, name)]}"
+            if name == INVALID and self.first_invalid:
+                cause = f": {self.first_invalid}"
             lines.append(f"  {count:>7} {name}{cause}")
         for name, row in self.quantiles.items():
             unit = f" {self.units[name]}" if self.units.get(name) else ""
@@ -95,6 +103,7 @@ def summarise(sweep: Sweep, confidence: float = CONFIDENCE, resamples: int = RES
         worst=_worst(sweep.numbers, good, results.get(VIOLATION)),
         units={name: quantity.unit for name, quantity in sweep.layout.quantities.items()},
         ending="" if sweep.ending is None else sweep.ending.reason,
+        first_invalid=_first_invalid(sweep, results.get(STATUS)),
     )
 
 
@@ -113,6 +122,20 @@ def _statuses(codes: np.ndarray | None) -> dict[str, int]:
     found, counts = np.unique(codes, return_counts=True)
     order = np.argsort(-counts)
     return {STATUS_NAMES[found[i]]: int(counts[i]) for i in order}
+
+
+def _first_invalid(sweep: Sweep, codes: np.ndarray | None) -> str:
+    """Message of the check of the first invalid case: it takes milliseconds, and compiles nothing."""
+    run = None if sweep.study is None else sweep.study.run
+    if not isinstance(run, Planner | Solves) or INVALID not in _statuses(codes):
+        return ""
+    number = int(np.min(sweep.numbers[codes == STATUS_NAMES.index(INVALID)]))
+    case = sweep.case(number)
+    try:
+        case.check(run.nodes_for(case)) if isinstance(run, Planner) else run.check(case)
+    except (InvalidScenario, InvalidProblem) as error:
+        return f"case {number}, {'; '.join(str(error).splitlines())}"
+    return ""
 
 
 def _quantiles(values: np.ndarray, confidence: float, resamples: int) -> dict[float, Interval]:

@@ -136,3 +136,23 @@ def test_intervals_of_a_mean_cover_under_the_stop_rule():
         found = mc.NarrowMean("cost", 0.25, first=100).ended(seen(values, 400))
         held += found.interval.lower <= 1.0 <= found.interval.upper
     assert 0.93 < held / 1000 < 0.98
+
+
+@pytest.mark.parametrize("number", [float("nan"), float("inf"), 0.0, -1.0])
+def test_rules_refuse_numbers_out_of_range(number):
+    for rule, name in (
+        (lambda: mc.Budget(number), "seconds"),
+        (lambda: mc.NarrowShare(number), "width"),
+        (lambda: mc.NarrowMean("cost", number), "width"),
+        (lambda: mc.NarrowShare(0.1, confidence=number), "confidence"),
+    ):
+        with pytest.raises(mc.InvalidStudy, match=f"{name}: must"):
+            rule()
+    with pytest.raises(mc.InvalidStudy, match="first: must be 1 or more"):
+        mc.NarrowShare(0.1, first=0)
+
+
+def test_a_share_is_of_a_boolean_result():
+    observed = Observed(8, 8, 1.0, lambda name, cases: np.linspace(0.0, 1.0, cases))
+    with pytest.raises(mc.InvalidStudy, match="of: reach has the type float64"):
+        mc.NarrowShare(0.1, of="reach").ended(observed)
