@@ -83,7 +83,8 @@ def plan(request: PlanRequest) -> None:
     except InvalidScenario as error:
         raise typer.BadParameter(str(error)) from error
     title = f"{name}, mode {request.mode}, {nodes} nodes"
-    notes.print(f"planning {title}: compiling first ...")
+    long = ", which takes half a minute or more" if request.cache is None else ""
+    notes.print(f"planning {title}: compiling first{long} ...")
     solution, timing = timed(planner, scenario)
     if request.as_json:
         facts = {

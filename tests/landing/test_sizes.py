@@ -83,6 +83,7 @@ def test_derivatives_are_finite_without_gravity(scenario):
     assert bool(jnp.all(jnp.isfinite(slope)))
 
 
+@pytest.mark.slow
 def test_an_even_mesh_costs_little(scenario):
     """Without its cost, the mesh is less even, and the plan hardly cheaper."""
     planner = jaxscp.Planner(nodes=NODES)

@@ -209,6 +209,7 @@ def test_a_solution_is_a_guess_for_another_fixed_time(duration):
     np.testing.assert_allclose(found.cost, 12.0 / duration**3, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_solution_is_a_guess_for_another_number_of_nodes():
     coarse = solved(double_integrator(ENERGY, js.Time(6, js.FixedTime(2.0))))
     fine = double_integrator(ENERGY, js.Time(11, js.FixedTime(2.0)))
