@@ -87,7 +87,8 @@ def test_a_lock_file_that_was_left_behind_stops_nothing(tmp_path):
 
 
 INTERRUPTED = """
-import sys, time
+import signal, sys, time
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job inherits that it is ignored
 import jax
 from jaxscp import monte_carlo as mc
 
