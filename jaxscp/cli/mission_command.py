@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 
 _FIELD = typer.Argument(callback=known(FIELDS, "field"), metavar="FIELD", help=one_of(FIELDS))
 _SEED = typer.Option(
-    min=0, max=MOST_SEED, help="Seed of obstacles, vehicle, air and noise; the same seed flies the same mission."
+    min=0,
+    max=MOST_SEED,
+    help="Seed of obstacles, vehicle, air and noise; the same seed flies the same mission.",
 )
 _WIND = typer.Option(
     min=0.0, max=MOST_WIND, callback=finite, metavar="SPEED", help="Mean wind, m/s; drawn by default."

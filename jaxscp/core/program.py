@@ -156,6 +156,8 @@ def _returning_floats(function: Callable[..., Any]) -> Callable[..., jax.Array]:
             raise TypeError(
                 f"returns a {type(value).__name__}; return one array, jnp.stack([...]) or jnp.concatenate([...]), say"
             )
+        if jnp.issubdtype(jnp.result_type(value), jnp.bool_):  # it would be zero or one, and never negative
+            raise TypeError("returns booleans; write x < 1 as the number 1 - x, say, which changes with x")
         return jnp.asarray(value, jnp.result_type(float))
 
     return floating

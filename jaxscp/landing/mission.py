@@ -82,15 +82,17 @@ class Components(eqx.Module):
 def fixed(*, position=1.0, velocity=1.0, attitude=1.0, body_rate=1.0) -> Components:
     """Components that are fixed; each argument is a number for all three or three numbers.
 
+    Raises:
+        ValueError: an argument is neither.
+
     Example:
         >>> import jaxscp
         >>> jaxscp.fixed(attitude=[1, 1, 0]).attitude.tolist()  # any heading
         [1.0, 1.0, 0.0]
     """
-    values = (position, velocity, attitude, body_rate)
-    xp = namespace(values)
-    three = [jnp.asarray(xp.broadcast_to(xp.asarray(v, float), (3,))) for v in values]
-    return Components(*three)
+    given = {"position": position, "velocity": velocity, "attitude": attitude, "body_rate": body_rate}
+    three = {name: [v, v, v] if np.ndim(v) == 0 else v for name, v in given.items()}
+    return Components(**{name: floats(triple(name, v)) for name, v in three.items()})
 
 
 class Weights(eqx.Module):
@@ -148,6 +150,9 @@ def ellipsoids(centres, semi_axes) -> Ellipsoids:
     Returns:
         The ellipsoids; without centres none, which is no zone and no gate.
 
+    Raises:
+        ValueError: shapes contradict each other, or a semi-axis is negative.
+
     Example:
         >>> import jaxscp
         >>> jaxscp.ellipsoids([[0.0, 0.0, 1.0]], 0.5).shapes[0].diagonal().tolist()
@@ -158,6 +163,14 @@ def ellipsoids(centres, semi_axes) -> Ellipsoids:
     semi_axes = xp.asarray(semi_axes, float)
     if centres.size == 0:  # no ellipsoid: a list without entries has no shape of its own
         centres, semi_axes = centres.reshape(0, 3), xp.ones((0, 3))
+    count = centres.shape[0]
+    if centres.shape != (count, 3) or semi_axes.shape not in ((), (1,), (count,), (1, 3), (count, 3)):
+        raise ValueError(
+            "ellipsoids: expected centres of shape (count, 3), and semi-axes (count, 3), (count,) or one number; got "
+            f"{centres.shape} and {semi_axes.shape}"
+        )
+    if xp is np and np.any(semi_axes < 0.0):
+        raise ValueError(f"ellipsoids: a semi-axis must not be negative, got {semi_axes.min():g} m")
     if semi_axes.ndim < 2:
         semi_axes = xp.broadcast_to(semi_axes, centres.shape[:1])[:, None]
     semi_axes = xp.broadcast_to(semi_axes, centres.shape)

@@ -18,6 +18,7 @@ LIMIT_RECOVERY = 0.1  # fraction by which a start that may lie outside may excee
 ROOM = 2.0  # first relief over what the start breaks: it is hard to leave from a wall that one touches
 INTERVALS = 4  # in which the vehicle comes back
 BRAKING = 0.1  # times gravity: deceleration of a vehicle that flies outwards
+FARTHEST = 0.1  # m that it may go further out, however fast: behind a wall may be another one
 ROUNDING = 1e-9  # times a limit, or a zone's size, that counts as none
 
 
@@ -38,6 +39,7 @@ def wall_relief(mission: Mission, polytope: Int[Array, "nodes"]) -> Float[Array,
     beyond = corridor.normals @ start.position - corridor.offsets
     outwards = jnp.maximum(corridor.normals @ start.velocity, 0.0)
     way = outwards**2 / (2.0 * BRAKING * jnp.linalg.norm(mission.airframe.body.gravity))
+    way = jnp.minimum(way, FARTHEST)
     # Other polytopes, which the vehicle has not reached, open no further than its own.
     relief = jnp.where((beyond > 0.0) & (excess > 0.0), jnp.minimum(beyond, excess) + way / ROOM, 0.0)
     return relief[polytope] * fading(polytope.shape[0])[:, None]

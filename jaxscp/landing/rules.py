@@ -32,6 +32,7 @@ def rules(s: Mission, xp):
     yield from _limit_rules(s, xp)
     yield from _corridor_rules(s, xp)
     yield from _flight_limit_rules(s, xp)
+    yield from _duration_rules(s, xp)
     yield from _zone_rules(s, xp)
     yield from _component_rules(s, xp)
     yield from _hull_rules(s)
@@ -217,6 +218,18 @@ def _flight_limit_rules(s: Mission, xp):
             across = xp.sum(getattr(s, end).attitude[1:3] ** 2)
             inside = across <= xp.sin(0.5 * s.limits.tilt * _beyond_limits(s, end, xp)) ** 2 + CLEARANCE
             yield Rule(inside | (fixed is not None), f"{end}.attitude: tilted by more than limits.tilt.")
+
+
+def _duration_rules(s: Mission, xp):
+    """The greatest speed leads from start to goal within the greatest flight time."""
+    if s.limits.speed is None or any(v is not None for v in (s.deck_velocity, s.start_fixed, s.goal_fixed)):
+        return
+    way = xp.sqrt(xp.sum((s.goal.position - s.start.position) ** 2))
+    yield Rule(
+        (way <= s.limits.speed * _beyond_limits(s, "start", xp) * s.dilation_max) | (s.limits.speed <= 0.0),
+        f"dilation_max: at limits.speed, {s.limits.speed} m/s, the {_short(way)} m from start to goal take longer than "
+        f"the greatest flight time, {s.dilation_max} s; raise dilation_max.",
+    )
 
 
 def _beyond_limits(s: Mission, end: str, xp):

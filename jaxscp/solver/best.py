@@ -39,6 +39,10 @@ def best(solutions: Solution | Sequence[Solution]) -> Solution:
 
 
 def _stacked(solutions: Sequence[Solution]) -> Solution:
+    if not isinstance(solutions, Sequence) or not all(isinstance(one, Solution) for one in solutions):
+        raise ValueError(f"solutions: expected solutions, got {solutions!r:.80}.")
+    if not solutions:
+        raise ValueError("solutions: there is none.")
     axes = {solution.cost.ndim for solution in solutions}
     if axes != {0}:
         raise ValueError(

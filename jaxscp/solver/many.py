@@ -132,8 +132,11 @@ def _inputs(pipeline: Pipeline, scenarios: Any) -> _Inputs:
     rest = iter(scenarios)
     if (first := next(rest, None)) is None:
         raise InvalidScenario("scenarios: there are none, and so no shape of the solutions.")
-    pipeline.check(first)
-    like = jax.tree.map(_shape_of, with_arrays(first).solver_inputs())
+    if not isinstance(first, Scenario):
+        raise InvalidScenario(f"scenarios[0]: expected a scenario, got a {type(first).__name__}.")
+    first = with_arrays(first)
+    pipeline.check_shapes(first)  # of values, the status tells
+    like = jax.tree.map(_shape_of, first.solver_inputs())
     total = len(scenarios) if hasattr(scenarios, "__len__") else None  # pyright: ignore[reportArgumentType]
     return _Inputs(like, _of_each(like, itertools.chain([first], rest)), total)
 

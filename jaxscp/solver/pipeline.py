@@ -88,7 +88,7 @@ class Pipeline(eqx.Module):
         # mesh is free.
         keep_mesh = not is_traced((plan, scenario, elapsed)) and seconds > 0.0
         if traced or seconds > 0.0:
-            fixed._check_shapes(scenario)
+            fixed.check_shapes(scenario)
             plan, scenario, context = rest_of(plan, context, scenario, seconds)
         found = fixed._from_plan(plan.with_dynamics(None), context, scenario, jnp.asarray(keep_mesh))
         return better(found, functools.partial(fixed._from_guess, scenario))
@@ -158,12 +158,12 @@ class Pipeline(eqx.Module):
     def check(self, scenario: Scenario) -> None:
         """Check a scenario: its parts and shapes, and its values where all are known."""
         if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(scenario)):
-            self._check_shapes(scenario)
+            self.check_shapes(scenario)
         else:
             _check_class(scenario)
             scenario.check(self.nodes_for(scenario))
 
-    def _check_shapes(self, scenario: Scenario) -> None:
+    def check_shapes(self, scenario: Scenario) -> None:
         """Check a scenario's parts and shapes, not its values."""
         _check_class(scenario)
         shape_of = lambda v: jax.ShapeDtypeStruct(v.shape, v.dtype) if hasattr(v, "dtype") else v  # noqa: E731

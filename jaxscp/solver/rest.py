@@ -15,11 +15,11 @@ from jaxscp.problem.trajectory import Trajectory
 def checked_seconds(plan: Trajectory, elapsed: Any) -> float:
     """A known time since a plan's start, checked."""
     try:
-        seconds = float(elapsed)
+        seconds = float("nan") if isinstance(elapsed, str | bool) else float(elapsed)
     except (TypeError, ValueError):
         seconds = float("nan")
     if not 0.0 <= seconds < float("inf"):
-        raise InvalidScenario(f"elapsed: expected seconds since the old plan's start, got {elapsed}.")
+        raise InvalidScenario(f"elapsed: expected seconds since the old plan's start, got {elapsed!r}.")
     if not isinstance(plan.time, Tracer) and seconds > (end := float(np.asarray(plan.time)[-1])):
         raise InvalidScenario(
             f"elapsed: the old plan ended after {end:.4g} s, before elapsed = {seconds:.4g} s. "

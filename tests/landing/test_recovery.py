@@ -9,7 +9,7 @@ import pytest
 
 import jaxscp
 from jaxscp.corridor import box, connect
-from jaxscp.landing.recovery import INTERVALS, LIMIT_RECOVERY, RECOVERY, ROOM
+from jaxscp.landing.recovery import FARTHEST, INTERVALS, LIMIT_RECOVERY, RECOVERY, ROOM
 from tests.support.rooms import put, room
 
 NODES = 30
@@ -125,6 +125,16 @@ def test_free_components_of_a_start_need_no_recovery():
         room(start=(-1.05, 0.0, 1.0)), start_fixed=jaxscp.fixed(position=0.0), recovery=RECOVERY
     )
     assert not bool(scenario.starts_outside())
+
+
+@pytest.mark.parametrize("speed", [1.0, 3.0, 30.0])
+def test_a_fast_start_opens_a_wall_no_further(speed):
+    """A braking distance of metres would lead through what stands behind the wall."""
+    scenario = starting_at([1.0, 2.001, 1.0], velocity=[0.0, speed, 0.0])
+    moved = np.asarray(parameters(scenario, "corridor").offsets) - np.asarray(
+        parameters(BASE, "corridor").offsets
+    )
+    assert moved.max() == pytest.approx(ROOM * 0.001 + FARTHEST, abs=1e-9)
 
 
 def test_relief_has_derivatives():

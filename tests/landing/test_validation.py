@@ -88,6 +88,18 @@ def test_error_names_the_optional_part(scenario, name):
         jaxscp.Planner(nodes=NODES)(dataclasses.replace(scenario, **change))
 
 
+def test_a_flight_that_takes_too_long_is_refused(scenario):
+    way = float(jnp.linalg.norm(scenario.goal.position - scenario.start.position))
+    least = way / float(scenario.dilation_max)  # m/s
+    for factor, refused in ((0.9, True), (1.1, False)):
+        slow = dataclasses.replace(scenario, limits=jaxscp.flight_limits(speed=factor * least))
+        if refused:
+            with pytest.raises(jaxscp.InvalidScenario, match=r"dilation_max: at limits\.speed"):
+                jaxscp.validate(slow)
+        else:
+            jaxscp.validate(slow)
+
+
 def test_start_beyond_a_limit(scenario):
     fast = eqx.tree_at(lambda s: s.start.velocity, scenario, jnp.array([3.0, 0.0, 0.0]))
     with pytest.raises(InvalidScenario, match=r"start\.velocity"):

@@ -74,6 +74,13 @@ def test_scenarios_may_come_one_by_one(plans):
     assert_same(PLANNER.map(with_mass(mass) for mass in MASSES), plans)
 
 
+def test_the_first_of_a_list_may_be_invalid(plans):
+    """It gives the shapes alone."""
+    found = PLANNER.map([with_mass(mass) for mass in (np.nan, -1.0, MASSES[0])])
+    assert list(jaxscp.status_names(found.status))[:2] == ["invalid_input"] * 2
+    np.testing.assert_array_equal(found.cost[2], plans[0].cost)
+
+
 def test_progress_and_what_is_kept(plans):
     calls = []
     keep = lambda solutions: (solutions.final_time, solutions.cost)  # noqa: E731
@@ -101,6 +108,7 @@ def test_batches_have_the_same_plans(plans, size):
         ),
         (lambda: [], "there are none"),
         (lambda: [SCENARIO, jaxscp.scenarios.platform_to_platform()], r"scenarios\[1\]: .*corridor"),
+        (lambda: iter([3, SCENARIO]), r"scenarios\[0\]: expected a scenario, got a int"),
         (lambda: iter([SCENARIO, 3]), r"scenarios\[1\]: expected a scenario, got a int"),
     ],
 )

@@ -160,6 +160,16 @@ WRONG = {
         r"dynamics: .*returns a list; return one array",
     ),
     "a tuple of values": (lambda: constrained(lambda x, u, t, p: (x[0], x[1])), GUESS, r"returns a tuple"),
+    "a condition for a constraint": (
+        lambda: constrained(lambda x, u, t, p: x[1:] < 0.5),
+        GUESS,
+        r"constraints\[0\].*returns booleans; write x < 1 as the number 1 - x",
+    ),
+    "a condition for a cost": (
+        lambda: problem(cost=js.Cost(lambda x, u, t, p: x[0] > 0.0)),
+        GUESS,
+        r"cost\.running: .*returns booleans",
+    ),
     "nothing at all": (
         lambda: problem(cost=js.Cost(lambda x, u, t, p: None)),
         GUESS,
