@@ -38,6 +38,7 @@ def zip_bytes():
         ("a.csv", b"# .PCD v0.7\n", r"rename it to \.pcd"),
         ("a.xyz", b"LASF" + bytes(300), r"rename it to \.las or \.laz"),
     ],
+    ids=["npy", "npy as mesh", "gzip", "zip", "ply", "pcd", "las"],  # contents hold the time
 )
 def test_a_known_kind_under_another_name_is_told(tmp_path, name, content, message):
     path = tmp_path / name
