@@ -91,7 +91,10 @@ def fixed(*, position=1.0, velocity=1.0, attitude=1.0, body_rate=1.0) -> Compone
         [1.0, 1.0, 0.0]
     """
     given = {"position": position, "velocity": velocity, "attitude": attitude, "body_rate": body_rate}
-    three = {name: [v, v, v] if np.ndim(v) == 0 else v for name, v in given.items()}
+    three = {
+        name: v if isinstance(v, list | tuple | str) or jnp.ndim(v) else [v, v, v]
+        for name, v in given.items()
+    }
     return Components(**{name: floats(triple(name, v)) for name, v in three.items()})
 
 

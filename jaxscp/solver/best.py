@@ -42,7 +42,7 @@ def _stacked(solutions: Sequence[Solution]) -> Solution:
     if not isinstance(solutions, Sequence) or not all(isinstance(one, Solution) for one in solutions):
         raise ValueError(f"solutions: expected solutions, got {solutions!r:.80}.")
     if not solutions:
-        raise ValueError("solutions: there is none.")
+        raise ValueError("solutions: expected single solutions in a sequence, got none.")
     axes = {solution.cost.ndim for solution in solutions}
     if axes != {0}:
         raise ValueError(

@@ -113,7 +113,9 @@ def module(file, text, monkeypatch):
     file.write_text(text)
     spec: Any = importlib.util.spec_from_file_location(file.stem, file)
     found = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(found)
+    exec(
+        compile(text, str(file), "exec"), found.__dict__
+    )  # no cached bytecode, which a quick edit leaves as it is
     monkeypatch.setitem(sys.modules, file.stem, found)
     return found
 

@@ -31,8 +31,3 @@ def test_invalid_elements_are_nan_and_never_the_best():
             assert np.isnan(leaf[:2]).all()
             assert np.isfinite(leaf[2:]).all()
     np.testing.assert_array_equal(jaxscp.best(plans).cost, plans.cost[2:].min())
-
-
-def test_no_solution_has_no_best():
-    with pytest.raises(ValueError, match="solutions: there is none"):
-        jaxscp.best([])
