@@ -6,11 +6,10 @@ import numpy as np
 
 from jaxscp.core.numpy_files import DAMAGED
 from jaxscp.corridor.columns import chosen_columns, named_columns
-from jaxscp.corridor.file_content import CloudFileError, FileContent, Request, check_count
+from jaxscp.corridor.file_content import NUMPY, CloudFileError, FileContent, Request, check_count
 from jaxscp.corridor.occupancy import FloorPlan, Voxels, floor_plan_points, voxel_points
 
 _SAMPLE = 2000
-_MAGIC = b"\x93NUMPY"
 
 
 def read_npy(path: Path, request: Request) -> FileContent:
@@ -61,8 +60,8 @@ def _mapped(path: Path) -> np.memmap:
     """
     size = path.stat().st_size
     with path.open("rb") as file:
-        magic = file.read(len(_MAGIC))
-    if magic != _MAGIC:
+        magic = file.read(len(NUMPY))
+    if magic != NUMPY:
         raise CloudFileError(
             f"{path}: its {size} bytes do not begin with the header of a .npy; how was it saved?"
         )

@@ -16,8 +16,10 @@ class CloudFileError(ValueError):
     """A file that cannot be read as its suffix says; the message names the file, the place and the cause."""
 
 
+NUMPY = b"\x93NUMPY"
+"""First bytes of a .npy."""
 _KINDS = (
-    (b"\x93NUMPY", "a NumPy array", (".npy",)),
+    (NUMPY, "a NumPy array", (".npy",)),
     (b"PK\x03\x04", "a .zip or .npz archive", ()),
     (b"\x1f\x8b", "a file compressed by gzip", ()),
     (b"BZh", "a file compressed by bzip2", ()),
@@ -35,10 +37,10 @@ _KINDS = (
 
 
 def check_kind(path: Path) -> None:
-    """Refuse a file whose first bytes are those of a kind that its suffix does not name.
+    """Refuse a file whose first bytes show another kind than its suffix.
 
     Raises:
-        CloudFileError: the suffix is wrong; the message says what the file looks like.
+        CloudFileError: the suffix is wrong; the message names the kind.
     """
     with path.open("rb") as file:
         head = file.read(20)
@@ -46,6 +48,14 @@ def check_kind(path: Path) -> None:
         if head.startswith(first) and path.suffix.lower() not in suffixes:
             remedy = f"rename it to {' or '.join(suffixes)}" if suffixes else "unpack it first"
             raise CloudFileError(f"{path}: looks like {kind} under another name; {remedy}")
+
+
+def bytes_after(path: Path, end: int) -> int:
+    """Bytes of a file after a place; zero if they only pad it: some writers fill the last page with zeros."""
+    with path.open("rb") as file:
+        file.seek(end)
+        rest = file.read()
+    return len(rest) if rest.strip(b"\0 \t\r\n") else 0
 
 
 def check_count(path: Path, count: int) -> None:

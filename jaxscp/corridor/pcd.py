@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxscp.corridor.file_content import CloudFileError, FileContent, Request, check_count
+from jaxscp.corridor.file_content import CloudFileError, FileContent, Request, bytes_after, check_count
 from jaxscp.corridor.tables import Dialect, read_columns
 
 _IDENTITY = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
@@ -163,17 +163,10 @@ def _points(path: Path, header: Header, pypcd4: Any) -> np.ndarray:
             file.seek(header.start)
             packed, whole = np.frombuffer(file.read(8), "<u4")
             data = pypcd4.pypcd4.lzf.decompress(file.read(int(packed)), int(whole))
-        if whole != meta.points * _itemsize(meta):
-            held = int(whole) // _itemsize(meta)
-            raise CloudFileError(
-                f"{path}: the header promises {meta.points} points, but the data hold {held}"
-            )
         columns = [_column(meta, axis) for axis in "xyz"]
         return np.stack(
             [np.frombuffer(data, kind, meta.points, at * meta.points) for at, kind in columns], axis=1
         )
-    except CloudFileError:
-        raise
     except (ValueError, RuntimeError, TypeError) as error:
         raise CloudFileError(
             f"{path}: the data from byte {header.start} on cannot be decoded: {error}"
@@ -209,25 +202,27 @@ def _binary(path: Path, header: Header) -> np.ndarray:
 
 def _check_size(path: Path, header: Header) -> None:
     size, meta = path.stat().st_size, header.meta
-    needed = meta.points * _itemsize(meta)
+    needed = unpacked = meta.points * _itemsize(meta)
     if meta.data.value != "binary":
         with path.open("rb") as file:
             file.seek(header.start)
             lengths = file.read(8)
-        needed = 8 + (int.from_bytes(lengths[:4], "little") if len(lengths) == 8 else 0)
+        needed = 8
+        if len(lengths) == 8:
+            needed += int.from_bytes(lengths[:4], "little")
+            unpacked = int.from_bytes(lengths[4:], "little")
     if meta.points and size - header.start < needed:
         raise CloudFileError(
             f"{path}: truncated at byte {size}: the header promises {meta.points} points, "
             f"which end at byte {header.start + needed}"
         )
-    with path.open("rb") as file:
-        file.seek(header.start + needed)
-        # Some writers fill the last page with zeros.
-        rest = size - header.start - needed if file.read().strip(b"\0 \t\r\n") else 0
-    if rest:
+    if rest := bytes_after(path, header.start + needed):
         more = (
             f"data of {rest // _itemsize(meta)} more" if meta.data.value == "binary" else f"{rest} bytes more"
         )
         raise CloudFileError(
             f"{path}: the header promises {meta.points} points, but {more} follow: a wrong count?"
         )
+    if unpacked != meta.points * _itemsize(meta):
+        held = unpacked // _itemsize(meta)
+        raise CloudFileError(f"{path}: the header promises {meta.points} points, but the data hold {held}")

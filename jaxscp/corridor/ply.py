@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxscp.corridor.file_content import CloudFileError, FileContent, Request
+from jaxscp.corridor.file_content import CloudFileError, FileContent, Request, bytes_after
 from jaxscp.corridor.surfaces import Segments, Surface, Triangles, fans, surface_content
 
 _HEAD = 1 << 16
@@ -18,21 +18,24 @@ def read_ply(path: Path, request: Request) -> FileContent:
     """Points of a .ply, ASCII or binary; faces, triangle strips and edges are sampled, other vertices are points.
 
     Raises:
-        CloudFileError: there is no vertex with x, y and z, a face names a vertex that does not exist, or there are
-            more rows than the header counts.
+        CloudFileError: no vertex has x, y and z, a face names a vertex that does not exist, or the file goes on after
+            the last row that its header counts.
     """
     plyfile = request.library
     size = path.stat().st_size
     try:
-        data = _parsed(path, plyfile)
+        data, rest = _parsed(path, plyfile)
     except plyfile.PlyParseError as error:
         raise CloudFileError(f"{path}: {error} (file of {size} bytes)") from error
     except UnicodeDecodeError as error:
         raise CloudFileError(f"{path}: byte {error.start}: not a .ply header") from error
-    except CloudFileError:
-        raise
     except (ValueError, OSError) as error:
         raise CloudFileError(f"{path}: not a whole .ply of {size} bytes: {error}") from error
+    if rest:
+        counts = ", ".join(f"{element.count} of {element.name!r}" for element in data.elements)
+        raise CloudFileError(
+            f"{path}: {rest} follow the last row that the header counts ({counts}): is a count too low?"
+        )
     elements = {element.name.lower(): element for element in data.elements}
     if "vertex" not in elements:
         raise CloudFileError(f"{path}: no element 'vertex' among {', '.join(elements) or 'none'}")
@@ -48,40 +51,29 @@ def read_ply(path: Path, request: Request) -> FileContent:
     return surface_content(path, Surface(points.astype(float), triangles, segments), request, merge=False)
 
 
-def _parsed(path: Path, plyfile: Any) -> Any:
-    """Binary triangles are read at once where every face is one; other faces one by one."""
+def _parsed(path: Path, plyfile: Any) -> tuple[Any, str]:
+    """Content of a file, and how much follows the last row that its header counts; empty if nothing does.
+
+    Binary triangles are read at once where every face is one; other faces one by one.
+    """
     with path.open("rb") as file:
         text = re.search(rb"[\r\n]format\s+ascii\b", file.read(_HEAD)) is not None
     if text:
         with path.open(encoding="ascii") as file:
             data = plyfile.PlyData.read(file)
-            _check_rest(path, data, sum(1 for line in file if line.strip()), "lines")
-        return data
+            rest = sum(1 for line in file if line.strip())
+        return data, f"{rest} lines" if rest else ""
     try:
         return _binary(path, plyfile, {"face": dict.fromkeys(_LISTS, 3)})
-    except (plyfile.PlyParseError, ValueError, KeyError) as error:
-        if isinstance(error, CloudFileError):
-            raise
+    except (plyfile.PlyParseError, ValueError, KeyError):
         return _binary(path, plyfile, {})
 
 
-def _binary(path: Path, plyfile: Any, known: dict[str, dict[str, int]]) -> Any:
+def _binary(path: Path, plyfile: Any, known: dict[str, dict[str, int]]) -> tuple[Any, str]:
     with path.open("rb") as file:
         data = plyfile.PlyData.read(file, known_list_len=known, mmap="c")
-        at = file.tell()
-        # Padding is no row.
-        rest = path.stat().st_size - at if file.read().strip(b"\0 \t\r\n") else 0
-        _check_rest(path, data, rest, "bytes")
-    return data
-
-
-def _check_rest(path: Path, data: Any, rest: int, unit: str) -> None:
-    """Refuse a file that goes on after the last row that its header counts."""
-    if rest:
-        counts = ", ".join(f"{element.count} of {element.name!r}" for element in data.elements)
-        raise CloudFileError(
-            f"{path}: {rest} {unit} follow the last row that the header counts ({counts}): is a count too low?"
-        )
+        rest = bytes_after(path, file.tell())
+    return data, f"{rest} bytes" if rest else ""
 
 
 def _vertices(path: Path, vertex: Any) -> np.ndarray:

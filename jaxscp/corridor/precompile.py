@@ -15,7 +15,7 @@ _LARGE = 200_000
 
 
 def precompile(method: Decomposition, points: int) -> Callable[[], None]:
-    """Begin to compile, in another thread, what a large map will need; returns a function that waits for it.
+    """Compile in another thread what a large map needs; returns a function that waits for that.
 
     Args:
         method: how to make a polytope.

@@ -38,7 +38,7 @@ def fans(flat: Numbers, sizes: Numbers) -> Triangles:
 
     Args:
         flat: vertex numbers of all polygons, one polygon after the other.
-        sizes: corners of each polygon; those of fewer than three have no triangle.
+        sizes: corners of each polygon; with fewer than three there is no triangle.
 
     Example:
         >>> fans(np.arange(4), np.array([4])).tolist()

@@ -225,7 +225,7 @@ def text_of(code: types.CodeType, constant: Callable[[Any], Any]) -> str:
 
 
 def state_of(cls: type, state: dict[Any, Any]) -> dict[str, Any]:
-    """Attributes of an object, less its documentation and what it can compute again."""
+    """Attributes of an object, without its documentation and its cached properties."""
     return {
         str(name): value
         for name, value in state.items()

@@ -58,6 +58,8 @@ class ChunkJob:
     store: Store
     layout: Layout
     keep: Keep
+    resumed: bool
+    """Whether an earlier call may have written parts of a chunk, and no marker."""
 
     def run(self, index: int) -> ChunkReport:
         """Compute and write a chunk."""
@@ -69,7 +71,8 @@ class ChunkJob:
         success = found.get(SUCCESS, np.zeros(len(numbers), bool)).astype(bool)
         values = {name: drawn[:, i] for i, name in enumerate(self.study.names)}
         values |= self._stored(found, numbers, success)
-        self.store.write_values(cases.start, self._fills(values, len(numbers)) | values)
+        fills = self._fills(values, len(numbers)) if self.resumed else {}
+        self.store.write_values(cases.start, fills | values)
         report = ChunkReport(index, len(numbers), int(np.sum(success)), time.perf_counter() - began, busy)
         facts = {
             "cases": report.cases,
@@ -97,7 +100,7 @@ class ChunkJob:
         return values
 
     def _fills(self, values: dict[str, np.ndarray], count: int) -> dict[str, np.ndarray]:
-        """Fill values of trajectories that are not stored: an earlier call may have written some, and no marker."""
+        """Fill values of the trajectories that are not stored."""
         missing = [(n, q) for n, q in self.layout.quantities.items() if n not in values]
         return {name: np.full((count, *q.shape), self._fill(name)) for name, q in missing}
 

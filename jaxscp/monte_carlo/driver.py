@@ -88,9 +88,8 @@ def _run(asked: _Request) -> Sweep:
     began, study, store = time.perf_counter(), asked.study, asked.store
     try:
         with _writing(store), asked.engine.opened() as opened:
-            resumed = store.configuration() is not None
             run = _Run(_prepared(asked, opened), asked.stop, asked.progress, began)
-            run.go(opened, resumed)
+            run.go(opened)
             run.end()
     except KeyboardInterrupt:
         count = stored_cases(store)
@@ -140,7 +139,7 @@ def _prepared(asked: _Request, engine: Opened) -> ChunkJob:
             )
         layout = Layout(study.count, min(asked.chunk, study.count), units, found)
         store.create(identity, layout)
-    return ChunkJob(study, engine.evaluator, store, layout, asked.keep)
+    return ChunkJob(study, engine.evaluator, store, layout, asked.keep, stored is not None)
 
 
 def _listed(things: list[Any]) -> str:
@@ -207,13 +206,13 @@ class _Run:
                 are = "is" if len(chunks) == 1 else "are"
                 self.progress.message(f"chunk {_listed(chunks)} {are} {what}, and computed again")
 
-    def go(self, engine: Opened, resumed: bool) -> None:
+    def go(self, engine: Opened) -> None:
         """Compute the missing chunks, until a rule ends the sweep."""
         layout = self.job.layout
         missing = [index for index in range(layout.chunks) if index not in self.done]
         if self._enough() or not missing:
             return
-        if resumed:
+        if self.job.resumed:
             self.progress.message(_starting(self.job.study, self.snapshot().done))
         self.job.store.remove(ENDING)  # of an earlier call: more cases are to come
         with contextlib.closing(engine.chunks(self.job, missing)) as reports:

@@ -76,7 +76,8 @@ class OneByOne:
         """See ``Evaluator``.
 
         Raises:
-            SweepError: if the function fails, or its results are not those of the base; the message names the case.
+            SweepError: if the function fails, or its results differ from the base's in name, type or shape; the
+                message names the case.
         """
 
         def one(case: tuple[Any, Any]) -> tuple[dict[str, np.ndarray], float]:
@@ -181,7 +182,7 @@ class Together:
         """See ``Evaluator``.
 
         Raises:
-            SweepError: if the function fails, or its results are not those of the base.
+            SweepError: if the function fails, or its results differ from the base's in name, type or shape.
         """
         began, parts = time.perf_counter(), []
         program = _batched(self, ById(study))

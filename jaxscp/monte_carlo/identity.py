@@ -17,7 +17,7 @@ import numpy as np
 from jaxscp.monte_carlo import bytecode
 
 UNKNOWN = "content unknown"
-"""Key of what is said of an object that cannot be compared."""
+"""Key of the class of an object whose content cannot be compared."""
 _SMALL = 16  # numbers of an array that are listed, so that a difference says what changed
 _SHORT = 50  # parts of an object that is described again wherever it is found again
 _LONG = 200  # letters of a string that is listed

@@ -192,7 +192,7 @@ def names_an_array(name: str) -> bool:
 
 
 def names_in_use(quantities: dict[str, Quantity]) -> set[str]:
-    """Names that no parameter or result may have: those of the sweep's own arrays and of axes."""
+    """Names of the sweep's own arrays and axes, which no parameter or result may have."""
     return {*_TAKEN, *(f"{name}_{axis}" for name, q in quantities.items() for axis in range(len(q.shape)))}
 
 
