@@ -83,7 +83,7 @@ def plan(request: PlanRequest) -> None:
     except InvalidScenario as error:
         raise typer.BadParameter(str(error)) from error
     title = f"{name}, mode {request.mode}, {nodes} nodes"
-    long = ", which takes half a minute or more" if request.cache is None else ""
+    long = ", which takes half a minute or so" if request.cache is None else ""
     notes.print(f"planning {title}: compiling first{long} ...")
     solution, timing = timed(planner, scenario)
     if request.as_json:

@@ -11,7 +11,7 @@ from jaxscp.corridor.decompose import Decomposition
 from jaxscp.corridor.pruning import without_redundant
 
 _LARGE = 200_000
-"""Points of a map whose judging takes about as long as compiling."""
+"""Points of a map that takes long to judge."""
 
 
 def precompile(method: Decomposition, points: int) -> Callable[[], None]:

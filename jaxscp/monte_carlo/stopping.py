@@ -73,8 +73,8 @@ class NarrowShare:
         width: upper limit less lower limit.
         of: name of a boolean result.
         confidence: that the final interval has, looks included.
-        first: cases at the first look; an eighth of the count by default. Of fewer than 100, Wilson's interval of a
-            share near zero or one holds less often: for 50 cases and a share of 0.99, in 91 % of the sweeps.
+        first: cases at the first look; an eighth of the count by default. Of few cases, Wilson's interval of a share
+            near zero or one holds less often: ``simulated_coverage`` says how often.
 
     Raises:
         InvalidStudy: a number is out of its range.
