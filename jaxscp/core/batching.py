@@ -30,7 +30,7 @@ ALONE: Chunks = (1,)
 CHUNK: dict[str, Chunks] = {"cpu": ALONE}
 CHUNK_ELSEWHERE: Chunks = (2048,)
 # For long loops: after most elements have ended, a step of the few others must not take as long as one of all.
-CHUNK_OF_LONG_LOOPS: Chunks = (512,)
+CHUNK_OF_LONG_LOOPS: Chunks = 512, 64
 # For loops around long loops: each chunk waits for its slowest element, so chunks are few.
 CHUNK_AROUND_LOOPS: Chunks = (4096,)
 FEW = 2  # small chunks that take no longer than a large one with as many unfinished elements

@@ -35,6 +35,8 @@ class Kernels(NamedTuple):
     """Integrates an interval by one thread."""
     stored: int
     """Numbers that it stores of each interval for the other kernel; intervals alternate in the array."""
+    stored_of_slopes: int
+    """Numbers of the slopes' derivatives that it stores, interval after interval."""
     columns: launch.Kernel | None
     """Finds derivatives from these, by a block an interval; None at order zero."""
 
@@ -52,16 +54,17 @@ def kernels(
         capability: compute capability of the GPU.
     """
     source = interval_source.Source(intervals, tapes, inputs, order)
-    threads = interval_source.threads(inputs, order)
+    threads = interval_source.threads(inputs)
     most = cuda.shared_memory(capability)
     if order and threads > MOST_THREADS:
         warn_slow(
             f"an interval has {inputs} variables, too many for a CUDA kernel; JAX integrates it, and is slower"
         )
         return None
-    if order and source.shared > most:
+    shared = max(source.shared, source.shared_by_paths)
+    if order and shared > most:
         warn_slow(
-            f"an interval of this problem needs {source.shared} bytes of a GPU's shared memory, of which a block has "
+            f"an interval of this problem needs {shared} bytes of a GPU's shared memory, of which a block has "
             f"{most}; JAX integrates it, and is slower"
         )
         return None
@@ -74,15 +77,20 @@ def kernels(
     on_gpu, group = native.LIBRARY.on_gpu, interval_source.PATH_THREADS
     paths, *columns = cubins
     return Kernels(
-        launch.Kernel(on_gpu, paths, 1, group),
+        launch.Kernel(on_gpu, paths, 1, group, shared=source.shared_by_paths),
         source.stored,
+        source.stored_of_slopes,
         launch.Kernel(on_gpu, columns[0], threads, threads, shared=source.shared) if columns else None,
     )
 
 
 def _cubin(text: str, capability: str, blocks: int) -> bytes | None:
     return launch.cubin(
-        text, capability, "the integration", (Path(native.__file__).parent,), JAXSCP_BLOCKS=blocks
+        text,
+        capability,
+        "the integration",
+        (Path(native.__file__).parent, libraries.HEADERS),
+        JAXSCP_BLOCKS=blocks,
     )
 
 
@@ -100,11 +108,13 @@ def integrate(
     hoisted = jnp.concatenate([hoisted_constants(f) for f in (*tapes[:3], *tapes.margins)])
     weights = jnp.zeros((count, 0)) if multipliers is None else side_by_side(multipliers)
     shapes = [(count, *shape) for shape in flat_shapes(intervals, tapes, inputs)]
-    outputs, stored = kernels.paths(
-        w, hoisted, side_by_side(data), weights, shapes=[shapes[0], (count, kernels.stored)]
+    group = interval_source.PATH_THREADS
+    stored = [(-(-count // group) * group, kernels.stored), (count, kernels.stored_of_slopes)]
+    outputs, of_intervals, of_slopes = kernels.paths(
+        w, hoisted, side_by_side(data), weights, shapes=[shapes[0], *stored]
     )
     derivatives = []
     if kernels.columns is not None:
         unused = [(count, 0)] * (2 - order)
-        derivatives = kernels.columns(stored, hoisted, shapes=[*shapes[1 : order + 1], *unused])
+        derivatives = kernels.columns(of_slopes, of_intervals, shapes=[*shapes[1 : order + 1], *unused])
     return in_parts(intervals, tapes, [outputs, *derivatives[:order]])

@@ -22,6 +22,9 @@ from jaxscp.core.types import Flag, Scalar
 from jaxscp.linalg.eigen.dispatch import eigen, nearest
 
 FLOORS = (1e-4, 1e-2, 1.0)  # least curvature of a control's direction: the first floor that suffices is taken
+FEW: batching.Chunks = (
+    64,
+)  # batch elements clipped at once on a GPU: few need it, and eigenvalues take long
 DEEPEST_CURVATURE = 100.0  # negative curvature that a node may pass on before its block is clipped
 
 
@@ -94,7 +97,7 @@ def _convex_block(whole: Float[Array, "n n"], stage: int, needed: Flag | bool):
     def clipped(whole, *_):
         return _schur_complements(_clip(whole, FLOORS[0])[0], stage)[1][0]
 
-    before, convex = batching.where_needed(needed & ~jnp.any(fine), clipped, whole, found)
+    before, convex = batching.where_needed(needed & ~jnp.any(fine), clipped, whole, found, FEW)
     return before, convex, ~(fine[0] & (least >= FLOORS[0]))
 
 

@@ -35,16 +35,16 @@ def emulated(folder, order):
         inputs = w.shape[-1]
         tapes = interval_tapes.record(intervals, inputs, data, order)
         source = interval_source.Source(intervals, tapes, inputs, order)
-        threads, group = interval_source.threads(inputs, order), interval_source.PATH_THREADS
+        threads, group = interval_source.threads(inputs), interval_source.PATH_THREADS
         here = {name: folder / name for name in ("paths", "columns")}
         for path in here.values():
             path.mkdir(exist_ok=True)
-        code = compiled(source.paths, here["paths"], "threads_on_a_cpu.h", [FOLDER])
-        paths, columns = launch.Kernel(handler(), code, 1, group), None
+        code = compiled(source.paths, here["paths"], "warps_on_a_cpu.h", [FOLDER])
+        paths, columns = launch.Kernel(handler(), code, 1, group, shared=source.shared_by_paths), None
         if order:
             code = compiled(source.columns, here["columns"], "warps_on_a_cpu.h", [FOLDER])
             columns = launch.Kernel(handler(), code, threads, threads, shared=source.shared)
-        kernels = in_cuda_blocks.Kernels(paths, source.stored, columns)
+        kernels = in_cuda_blocks.Kernels(paths, source.stored, source.stored_of_slopes, columns)
         found = in_cuda_blocks.integrate(intervals, tapes, kernels, w, data, multipliers, order)
         return found if order else found[0]
 

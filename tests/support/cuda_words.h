@@ -16,6 +16,9 @@
 struct Index {
   unsigned x = 0;
 };
+struct alignas(16) double2 {
+  double x, y;
+};
 static Index threadIdx, blockIdx, blockDim;
 
 // A block's dynamic shared memory. Its numbers are NaN when a block begins, as no kernel may rely on them.

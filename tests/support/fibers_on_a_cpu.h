@@ -92,6 +92,19 @@ inline double exchanged(double v, int from) {
   __syncwarp();
   return found;
 }
+namespace jaxscp {
+
+// Entry (i, k) of the first factor, and (k, i) of the second, are lane 4 i + k's.
+inline void add_products(double (&sums)[2], double a, double b) {
+  int lane = threadIdx.x % 32, row = lane / 4;
+  for (int k = 0; k < 4; ++k) {
+    double of_row = exchanged(a, 4 * row + k);
+    for (int e = 0; e < 2; ++e) sums[e] += of_row * exchanged(b, 4 * (2 * (lane % 4) + e) + k);
+  }
+}
+
+}  // namespace jaxscp
+
 template <typename T>
 inline T __shfl_sync(unsigned, T v, int from) {
   return static_cast<T>(exchanged(static_cast<double>(v), from));

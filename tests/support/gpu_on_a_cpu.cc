@@ -12,19 +12,6 @@
 #include "fibers_on_a_cpu.h"
 #include "kernel.cu"
 
-namespace jaxscp {
-
-// Entry (i, k) of the first factor, and (k, i) of the second, are lane 4 i + k's.
-void add_products(double (&sums)[2], double a, double b) {
-  int lane = threadIdx.x % 32, row = lane / 4;
-  for (int k = 0; k < 4; ++k) {
-    double of_row = exchanged(a, 4 * row + k);
-    for (int e = 0; e < 2; ++e) sums[e] += of_row * exchanged(b, 4 * (2 * (lane % 4) + e) + k);
-  }
-}
-
-}  // namespace jaxscp
-
 #include "buffers.h"
 
 static void solve(jaxscp::Call& call) {

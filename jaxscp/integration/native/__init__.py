@@ -11,9 +11,11 @@ In the order in which the files build on each other:
     tangents.h          Jacobian, and Hessian of the weighted sum
     handler.cc          XLA FFI handler on a CPU
     cuda_source.py      text of the kernel without path outputs, from a tape; ``in_cuda.py`` compiles it
+    function_source.py  text of a function and its derivatives, from tapes
     interval_source.py  text before ``paths.cu`` and ``intervals.cu``, from tapes; ``in_cuda_blocks.py`` compiles both
     interval.cuh        sizes of an interval, and numbers that one kernel stores for the other
     interval_path.cuh   the same as ``forward.h`` and ``adjoint.h``, by one thread
+    hessian_tiles.cuh   the Hessian, in the registers of a warp's tensor cores
     interval_columns.cuh    the same as ``tangents.h``, by a block of threads
     paths.cu            the kernel of the paths, with a thread for each interval
     intervals.cu        the kernel of the derivatives, with a block for each interval

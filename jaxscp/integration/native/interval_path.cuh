@@ -3,19 +3,48 @@
 
 #include "interval.cuh"
 
+static_assert(kPathThreads == 32, "a block is a warp");
+
+// Derivatives of a slope, of the warp's threads; a row's length is odd, so that threads use different banks.
+using SlopeRows = double[kPathThreads][kSlopeEntries + 1];
+static_assert(sizeof(SlopeRows) == kPathShared * sizeof(double));
+
+// Threads beyond the last interval repeat it, and write no outputs; they store numbers of their own.
 struct Path {
   const double *w, *hoisted, *point_data, *ends_data, *mask, *multipliers;
   double* outputs;
   Strided stored;
+  double* of_slopes;
+  SlopeRows& slopes;
+  int rows;  // intervals of the block
   double state[kExtended], state_adjoint[kStates];
 
   Path(const double* w, const double* hoisted, const double* data, const double* multipliers, double* outputs,
-       Strided stored)
+       Strided stored, double* of_slopes, SlopeRows& slopes, int rows)
       : w(w), hoisted(hoisted), point_data(data), ends_data(data + kPointData), mask(data + kPointData + kEndsData),
-        multipliers(multipliers), outputs(outputs), stored(stored) {}
+        multipliers(multipliers), outputs(outputs), stored(stored), of_slopes(of_slopes), slopes(slopes), rows(rows) {}
 
   // Values at the points, later their adjoints.
   Strided values(int first) const { return stored + (kValuesAt + first); }
+
+  void write(int output, double value) const {
+    if (threadIdx.x < rows) outputs[output] = value;
+  }
+
+  // Where the thread leaves a slope's derivatives for ``store_slope``.
+  double* entries() const { return slopes[threadIdx.x]; }
+
+  // Stores the derivatives of a slope: neighbouring threads write neighbouring numbers of one interval.
+  void store_slope(int slope) const {
+    double* to = of_slopes + slope * kSlopeEntries;
+    __syncwarp();
+#pragma unroll 4
+    for (int row = 0; row < rows; ++row, to += kSteps * kStages * kSlopeEntries)
+#pragma unroll
+      for (int begin = 0; begin < kSlopeEntries; begin += kPathThreads)
+        if (const int k = begin + threadIdx.x; k < kSlopeEntries) to[k] = slopes[row][k];
+    __syncwarp();
+  }
 
   void write_controls(double fraction, double* arguments) const {
     for (int k = 0; k < kControls; ++k) {
@@ -51,9 +80,13 @@ struct Path {
         for (int j = 0; j < stage; ++j)
           for (int r = 0; r < kStates; ++r) arguments[r] = fma(kSize * kA[stage][j], slopes[j][r], arguments[r]);
         write_controls(fraction_of(step, stage), arguments);
-        if constexpr (kOrder > 0)
+        if constexpr (kOrder > 1)
           for (int k = 0; k < kArguments; ++k)
             stored[kArgumentsAt + (step * kStages + stage) * kArguments + k] = arguments[k];
+        if constexpr (kOrder == 1) {
+          Rate::jacobian(arguments, nullptr, hoisted, entries());
+          store_slope(step * kStages + stage);
+        }
         Rate::values(arguments, nullptr, hoisted, slopes[stage]);
       }
 #pragma unroll 1
@@ -64,8 +97,10 @@ struct Path {
   }
 
   void find_outputs() {
-    for (int r = 0; r < kExtended; ++r) outputs[r] = state[r];
-    Ends::values(w, ends_data, hoisted, outputs + kEndsBegin);
+    double at_ends[Ends::kMostValues];
+    for (int r = 0; r < kExtended; ++r) write(r, state[r]);
+    Ends::values(w, ends_data, hoisted, at_ends);
+    for (int v = 0; v < Ends::kValues; ++v) write(kEndsBegin + v, at_ends[v]);
     if constexpr (kOrder > 0) Ends::jacobian(w, ends_data, hoisted, stored + kEndsEntriesAt);
     if constexpr (kOrder > 1) Ends::hessian(w, multipliers + kEndsBegin, ends_data, hoisted, stored + kEndsSecondAt);
     for_groups([&](auto group) {
@@ -76,7 +111,7 @@ struct Path {
         double of_margin[Margin::kArguments], found[Margin::kValues], weights[Margin::kValues];
         for (int e = 0; e < Margin::kArguments; ++e) of_margin[e] = values(0)[value_of<Group>(k, e)];
         Margin::values(of_margin, mask, hoisted, found);
-        for (int e = 0; e < Margin::kValues; ++e) outputs[output_of<Group>(k, e)] = found[e];
+        for (int e = 0; e < Margin::kValues; ++e) write(output_of<Group>(k, e), found[e]);
         if constexpr (kOrder > 0)
           Margin::jacobian(of_margin, mask, hoisted, stored + (kMarginEntriesAt + Group::entries_of(k)));
         if constexpr (kOrder > 1) {
@@ -112,7 +147,7 @@ struct Path {
                    stored + (kPointSecondAt + point * Point::kSecond));
   }
 
-  // Adjoints of the values and of the slopes, backwards from the multipliers of the outputs.
+  // Adjoints of the values and of the slopes, and the slopes' second derivatives, backwards from the multipliers of the outputs.
   void find_adjoints() {
     find_value_adjoints();
     for (int r = 0; r < kStates; ++r) state_adjoint[r] = multipliers[r];
@@ -123,16 +158,18 @@ struct Path {
 #pragma unroll 1
       for (int stage = kStages - 1; stage >= 0; --stage) {
         const int slope = step * kStages + stage;
-        double adjoints[kExtended], entries[Rate::kMostEntries], sums[kArguments] = {};
+        double arguments[kArguments], adjoints[kExtended], sums[kArguments] = {};
         for (int r = 0; r < kExtended; ++r)
           adjoints[r] = kB[stage] * (r < kStates ? state_adjoint[r] : multipliers[kStates]);
 #pragma unroll 1
         for (int i = stage + 1; i < kStages; ++i)
           for (int r = 0; r < kStates; ++r) adjoints[r] = fma(kA[i][stage], stage_adjoints[i][r], adjoints[r]);
-        for (int r = 0; r < kExtended; ++r)
-          stored[kSlopeAdjointsAt + slope * kExtended + r] = adjoints[r] = kSize * adjoints[r];
-        Rate::jacobian(stored + (kArgumentsAt + slope * kArguments), nullptr, hoisted, entries);
-        Rate::transposed(entries, adjoints, sums);
+        for (int r = 0; r < kExtended; ++r) adjoints[r] *= kSize;
+        for (int k = 0; k < kArguments; ++k) arguments[k] = stored[kArgumentsAt + slope * kArguments + k];
+        Rate::jacobian(arguments, nullptr, hoisted, entries());
+        Rate::transposed(entries(), adjoints, sums);
+        Rate::hessian(arguments, adjoints, nullptr, hoisted, entries() + kSecondAt);
+        store_slope(slope);
         for (int r = 0; r < kStates; ++r) stage_adjoints[stage][r] = sums[r];
       }
 #pragma unroll 1

@@ -1,35 +1,27 @@
-"""The text before ``paths.cu`` and ``intervals.cu``: sizes, tableau, arrays, and the functions of a problem.
+"""The text before ``paths.cu`` and ``intervals.cu``: sizes, tableau, arrays, and the functions of a problem."""
 
-A function is a struct with its values, the nonzero entries of its derivatives, and products with these sparse matrices.
-The products are written out, so that their operands are in registers.
-"""
-
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
-from jaxscp.backends.codegen.cuda_text import COMPARISONS, Numbers, Scope, hoisted_slots, literal, numbered
+from jaxscp.backends.codegen.cuda_text import COMPARISONS, literal
 from jaxscp.backends.codegen.functions import TapedFunction
-from jaxscp.integration.interval_tapes import IntervalTapes, first_inputs
+from jaxscp.integration.interval_tapes import IntervalTapes
 from jaxscp.integration.intervals import Intervals, OutputGroup
+from jaxscp.integration.native.function_source import FunctionSource, curved, positions
 
-WARP, HALVES = 32, 2
+WARP = 32
+SQUARE = 8  # rows and columns of a tensor core's sums
+BANK_SHIFT = 4  # of rows, four of which are read at once, from different banks of memory
 PATH_THREADS = 32  # of a block whose threads integrate an interval each
 NUMBER = 8  # bytes
-EVEN_ROWS = "entries", "point_entries", "second", "point_second", "exchanged", "value_tangents"
-"""Arrays whose rows have an even length, so that the compiler loads two numbers at once."""
 
 Shapes = dict[str, tuple[int, ...]]
 
 
-def halves(order: int) -> int:
-    """Threads that share a column: the Hessian alone has work for two."""
-    return HALVES if order > 1 else 1
-
-
-def threads(inputs: int, order: int) -> int:
-    """Threads of a block, in whole warps."""
-    return halves(order) * -(-inputs // WARP) * WARP
+def threads(inputs: int) -> int:
+    """Threads of a block that finds derivatives, a column each, in whole warps."""
+    return -(-inputs // WARP) * WARP
 
 
 class Source:
@@ -46,19 +38,35 @@ class Source:
         self.intervals, self.tapes, self.inputs, self.order = intervals, tapes, inputs, order
         groups = intervals.path_outputs.groups
         self.groups = [_Group(g, f) for g, f in zip(groups, tapes.margins, strict=True)]
+        self.row = -(-inputs // SQUARE) * SQUARE + BANK_SHIFT
         self.stored_arrays, self.shared_arrays = self._stored_arrays(), self._shared_arrays()
         common = "\n".join(self._lines())
         self.paths, self.columns = (f'{common}\n#include "{name}.cu"\n' for name in ("paths", "intervals"))
 
     @property
     def stored(self) -> int:
-        """Numbers of an interval that the first kernel stores for the second."""
+        """Numbers of an interval that the first kernel stores for the second, but for the slopes'."""
         return sum(int(np.prod(shape)) for shape in self.stored_arrays.values())
 
     @property
+    def stored_of_slopes(self) -> int:
+        """Numbers of the slopes' derivatives that it stores, interval after interval."""
+        return self.intervals.steps * self.intervals.method.stages * self._slope_entries() * (self.order > 0)
+
+    def _slope_entries(self) -> int:
+        rate = self.tapes.rate
+        return sum(_even(max(1, len(entries))) for entries in (rate.jacobian, rate.hessian))
+
+    @property
+    def shared_by_paths(self) -> int:
+        """Bytes of the shared memory of a block of the first kernel."""
+        return NUMBER * PATH_THREADS * (self._slope_entries() + 1)
+
+    @property
     def shared(self) -> int:
-        """Bytes of the shared memory of a block."""
-        return NUMBER * sum(_even(int(np.prod(shape))) for shape in self.shared_arrays.values())
+        """Bytes of the shared memory of a block of the second kernel."""
+        numbers = lambda arrays: sum(int(np.prod(shape)) for shape in arrays.values())  # noqa: E731
+        return NUMBER * max(map(numbers, self.shared_arrays.values()))
 
     def _entries(self, order: int) -> Shapes:
         """Entries of derivatives of an order at points and ends, and of margins: names and shapes."""
@@ -76,41 +84,55 @@ class Source:
         intervals, arguments = self.intervals, self.tapes.rate.arguments
         slopes = intervals.steps * intervals.method.stages
         values = {"values": (intervals.points * self.tapes.point.values,)}
-        first_order = {"arguments": (slopes, arguments), **self._entries(1)}
+        first_order = self._entries(1)
         second_order = {
+            "arguments": (slopes, arguments),
             "point_arguments": (intervals.points, arguments),
-            "slope_adjoints": (slopes, intervals.states + 1),
             **self._entries(2),
         }
-        return values | self._up_to_order(first_order, second_order, least=0)
+        return values | self._up_to_order(first_order, second_order)
 
-    def _shared_arrays(self) -> Shapes:
-        """Arrays in shared memory: names and shapes. One that a lower order does not need has a single number."""
-        n, stages, tapes = self.intervals.states, self.intervals.method.stages, self.tapes
-        of_halves = HALVES * -(-self.inputs // HALVES)
-        first_order = {
-            "arguments": (stages, tapes.rate.arguments),
-            "entries": (stages, len(tapes.rate.jacobian)),
-            "slope_tangents": (stages - 1, n, self.inputs),
-            "value_tangents": (self.intervals.points * tapes.point.values, of_halves),
-            **self._entries(1),
+    def _up_to_order(self, first_order: Shapes, second_order: Shapes) -> Shapes:
+        """Arrays that are needed up to the order; the others are empty."""
+        return {
+            name: tuple(size * (self.order >= order) for size in shape)
+            for order, arrays in enumerate((first_order, second_order), start=1)
+            for name, shape in arrays.items()
         }
-        second_order = {
-            "slope_adjoints": (stages, n + 1),
-            "second": (stages, len(tapes.rate.hessian)),
-            "exchanged": (of_halves, n),
-            **self._entries(2),
-        }
-        found = self._up_to_order(first_order, second_order, least=1)
-        return {name: (*v[:-1], _even(v[-1])) if name in EVEN_ROWS else v for name, v in found.items()}
 
-    def _up_to_order(self, first_order: Shapes, second_order: Shapes, least: int) -> Shapes:
-        """Arrays that are needed up to the order; ``least`` numbers along each axis of the others."""
-        found = {}
-        for order, arrays in enumerate((first_order, second_order), start=1):
-            for name, shape in arrays.items():
-                found[name] = tuple(max(least, size) if self.order >= order else least for size in shape)
-        return found
+    def _shared_arrays(self) -> dict[str, Shapes]:
+        """Arrays in shared memory, in three uses that follow each other: names and shapes.
+
+        Rows have an even length, so that the compiler loads two numbers at once.
+        """
+        tapes, stages, row = self.tapes, self.intervals.method.stages, self.row
+        of_order = {1: self._entries(1), 2: self._entries(2)}
+        most = max(len(curved(f, self.intervals.states)) for f in (tapes.rate, tapes.point))
+        integrating = {
+            "slope_entries": (stages, self._slope_entries()),
+            "slope_tangents": (stages - 1, len(self._needed()), self.inputs),
+            "point_entries": of_order[1]["point_entries"],
+            "point_second": of_order[2]["point_second"],
+            "tangents": (most, row),
+            "products": (most, row),
+        }
+        margins = {
+            "tangents": (self.intervals.points * tapes.point.values, row),
+            "entries": of_order[1]["margin_entries"],
+            "second": of_order[2]["margin_second"],
+            "products": (max((group.margin.arguments for group in self.groups), default=0), row),
+        }
+        uses = {"Integrating": integrating, "Margins": margins, "Sums": {"hessian": (self.inputs, row)}}
+        return {
+            use: {name: (*(max(1, s) for s in v[:-1]), _even(max(1, v[-1]))) for name, v in arrays.items()}
+            for use, arrays in uses.items()
+        }
+
+    def _needed(self) -> list[int]:
+        """States that the rate depends on."""
+        return sorted(
+            {column for _, column in self.tapes.rate.jacobian.tolist() if column < self.intervals.states}
+        )
 
     def _lines(self) -> Iterator[str]:
         intervals, tapes, method = self.intervals, self.tapes, self.intervals.method
@@ -118,7 +140,7 @@ class Source:
         functions |= {f"Margin{i}": group.margin for i, group in enumerate(self.groups)}
         written, hoisted = [], 0
         for name, function in functions.items():
-            struct = _Function(name, function, hoisted)
+            struct = FunctionSource(name, function, intervals.states, hoisted)
             written.append("\n".join(struct.lines()))
             hoisted += struct.hoisted
         sizes = {
@@ -130,13 +152,15 @@ class Source:
             "StepsPerSubinterval": intervals.steps_per_subinterval,
             "Stages": method.stages,
             "Points": intervals.points,
-            "Threads": threads(self.inputs, self.order),
+            "Threads": threads(self.inputs),
             "PathThreads": PATH_THREADS,
-            "Halves": halves(self.order),
+            "Row": self.row,
             "PointData": tapes.point.data,
             "EndsData": tapes.ends.data,
             "Hoisted": hoisted,
             "Shared": self.shared // NUMBER,
+            "SlopeEntries": self._slope_entries(),
+            "PathShared": self.shared_by_paths // NUMBER,
             "MarginEntries": self.stored_arrays["margin_entries"][0],
             "MarginSecond": self.stored_arrays["margin_second"][0],
         }
@@ -149,12 +173,15 @@ class Source:
         yield f"__constant__ double kC[kStages] = {{{_row(method.c)}}};"
         yield f"__constant__ double kB[kStages] = {{{_row(method.b)}}};"
         yield f"__constant__ double kA[kStages][kStages] = {{{', '.join(f'{{{_row(a)}}}' for a in method.a)}}};"
-        yield "struct Shared {"
-        for name, shape in self.shared_arrays.items():
-            yield f"  alignas(16) double {name}{''.join(f'[{size}]' for size in shape)};"
+        for use, arrays in self.shared_arrays.items():
+            yield f"struct {use} {{"
+            for name, shape in arrays.items():
+                yield f"  alignas(16) double {name}{''.join(f'[{size}]' for size in shape)};"
+            yield "};"
+        yield "union Shared {"
+        yield from (f"  {use} {use.lower()};" for use in self.shared_arrays)
         yield "};"
-        first = first_inputs(tapes.rate.jacobian, intervals.states, self.inputs)
-        yield _table("int", "first_input", first.tolist())
+        yield positions("needed_row", self._needed(), intervals.states)
         yield from written
         yield from self._group_lines()
 
@@ -185,101 +212,8 @@ class _Group:
         self.instances = group.rows // group.group_size
 
 
-class _Function:
-    """Writer of a function's struct.
-
-    Args:
-        name: name of the struct.
-        function: the function.
-        at: index of the function's first hoisted constant.
-    """
-
-    def __init__(self, name: str, function: TapedFunction, at: int) -> None:
-        self.name, self.function = name, function
-        counts = [len(hoisted_slots(tape, function.inputs)) for tape in (function.first, function.second)]
-        self.begins, self.hoisted = [at, at + counts[0]], sum(counts)
-
-    def lines(self) -> Iterator[str]:
-        """Lines of the struct."""
-        f = self.function
-        yield f"struct {self.name} {{"
-        sizes = {"Arguments": f.arguments, "Values": f.values, "MostValues": max(1, f.values)}
-        sizes |= {
-            "Entries": len(f.jacobian),
-            "MostEntries": max(1, len(f.jacobian)),
-            "Second": len(f.hessian),
-        }
-        yield from (f"  static constexpr int k{name} = {value};" for name, value in sizes.items())
-        yield from self.evaluation("values", 0, range(f.values))
-        yield from self.evaluation("jacobian", 0, range(f.values, f.values + len(f.jacobian)))
-        yield from self.evaluation("hessian", 1, range(len(f.hessian)))
-        entries = [(i, r, c) for i, (r, c) in enumerate(f.jacobian.tolist())]
-        yield from _product("times", entries)
-        yield from _product("transposed", [(i, c, r) for i, r, c in entries])
-        both = _both_triangles(f.hessian)
-        yield from _product("hessian_times", both)
-        with_curvature = {r for _, r, _ in both}
-        yield "  static " + _table("bool", "curved", [int(r in with_curvature) for r in range(f.arguments)])
-        yield "};"
-
-    def evaluation(self, name: str, order: int, outputs: Sequence[int]) -> Iterator[str]:
-        """A function that writes some outputs of a tape."""
-        f, tape = self.function, (self.function.first, self.function.second)[order]
-        of_multipliers = "const Multipliers& y, " if order else ""
-        constants = "const double* d, const double* hoisted"
-        also = "class Multipliers, " if order else ""
-        yield f"  template <class From, {also}class To>"
-        yield f"  static void {name}(const From& a, {of_multipliers}{constants}, To&& to) {{"
-        inputs = [
-            *(f"a[{i}]" for i in range(f.arguments)),
-            *(f"y[{i}]" for i in range(f.values)),
-            *(f"d[{i}]" for i in range(f.data)),
-        ]
-        if outputs:
-            numbers = numbered(tape, f.inputs)
-            yield f"    hoisted += {self.begins[order]};"
-            scope = Scope(numbers, [f"in{i}" for i in range(f.inputs)], "v")
-            body = [line for output in outputs for line in scope.make(numbers.outputs[output])]
-            read = _inputs_read(numbers, [numbers.outputs[o] for o in outputs], f.inputs)
-            yield from (f"    const double in{i} = {inputs[i]};" for i in read)
-            yield from (f"    {line}" for line in body)
-            for i, output in enumerate(outputs):
-                yield f"    to[{i}] = {scope.names[numbers.outputs[output]]};"
-        yield "  }"
-
-
 def _even(count: int) -> int:
     return count + count % 2
-
-
-def _inputs_read(numbers: Numbers, outputs: Sequence[int], inputs: int) -> list[int]:
-    """Inputs that some outputs depend on."""
-    seen, waiting = set(outputs), list(outputs)
-    while waiting:
-        _, operands = numbers.operations.get(waiting.pop(), (0, []))
-        waiting += [v for v in operands if v not in seen]
-        seen.update(operands)
-    return sorted(v for v in seen if v < inputs)
-
-
-def _both_triangles(lower: np.ndarray) -> list[tuple[int, int, int]]:
-    """(entry, row, column) of a symmetric matrix, from the positions in its lower triangle."""
-    entries = [(i, r, c) for i, (r, c) in enumerate(lower.tolist())]
-    return entries + [(i, c, r) for i, r, c in entries if r != c]
-
-
-def _product(name: str, entries: Iterable[tuple[int, int, int]]) -> Iterator[str]:
-    """A function: to += matrix * from, for a sparse matrix with (entry, row, column)."""
-    yield "  template <class Entries, class From, class To>"
-    yield f"  static void {name}(const Entries& e, const From& from, To& to) {{"
-    yield from (f"    to[{r}] = fma(e[{i}], from[{c}], to[{r}]);" for i, r, c in entries)
-    yield "  }"
-
-
-def _table(kind: str, name: str, entries: Sequence[int]) -> str:
-    """A function of an index; the compiler knows its value where it knows the index."""
-    listed = ", ".join(map(str, entries)) or "0"
-    return f"constexpr {kind} {name}(int i) {{ constexpr {kind} of[] = {{{listed}}}; return of[i]; }}"
 
 
 def _row(numbers: np.ndarray) -> str:

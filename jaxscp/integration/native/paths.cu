@@ -5,12 +5,19 @@
 // ``intervals`` intervals share hoisted constants.
 extern "C" __global__ void __launch_bounds__(kPathThreads)
     jaxscp_kernel(const double* __restrict__ w, const double* __restrict__ hoisted, const double* __restrict__ data,
-                  const double* __restrict__ multipliers, double* __restrict__ outputs, double* stored, long long count,
-                  long long intervals) {
-  const long long i = static_cast<long long>(blockIdx.x) * kPathThreads + threadIdx.x;
-  if (i >= count) return;
+                  const double* __restrict__ multipliers, double* __restrict__ outputs, double* stored,
+                  double* of_slopes, long long count, long long intervals) {
+#if defined(JAXSCP_EMULATED_GPU)
+  double* memory = emulated_memory;
+#else
+  extern __shared__ double memory[];
+#endif
+  const long long first = static_cast<long long>(blockIdx.x) * kPathThreads, left = count - first;
+  const int rows = left < kPathThreads ? left : kPathThreads;
+  const long long i = first + (threadIdx.x < rows ? threadIdx.x : rows - 1);
   Path path(w + i * kInputs, hoisted + i / intervals * kHoisted, data + i * (kPointData + kEndsData + kPoints),
-            multipliers + i * kOutputs, outputs + i * kOutputs, {stored + i, count});
+            multipliers + i * kOutputs, outputs + i * kOutputs, {stored + first + threadIdx.x, stride_of(count)},
+            of_slopes + first * kSteps * kStages * kSlopeEntries, *reinterpret_cast<SlopeRows*>(memory), rows);
   path.integrate();
   path.find_outputs();
   if constexpr (kOrder > 1) path.find_adjoints();
