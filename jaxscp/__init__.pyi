@@ -59,7 +59,7 @@ from .problem.scale import Scale as Scale
 # --- solve ---
 from .solver.solver import solve as solve
 from .solver.solver import Solver as Solver
-from .planner.planner import Planner as Planner
+from .solver.planner import Planner as Planner
 from .solver.scenario import Scenario as Scenario
 
 # --- a solution ---

@@ -14,9 +14,9 @@ from jaxscp.core.arrays import floats
 from jaxscp.corridor import CorridorOptions
 from jaxscp.landing import scenarios
 from jaxscp.landing.scenario import LandingScenario
-from jaxscp.planner.planner import Planner
 from jaxscp.scp.nodal_subproblem import ProximalTrustRegion
 from jaxscp.scp.ptr import PTR
+from jaxscp.solver.planner import Planner
 
 CASES: dict[str, Callable[[], LandingScenario]] = {
     "platform": scenarios.platform_to_platform,

@@ -29,8 +29,8 @@ from jaxscp.monte_carlo.outcome import (
 from jaxscp.monte_carlo.sampling import Numbers, UnitPoints
 from jaxscp.monte_carlo.solves import Solves
 from jaxscp.monte_carlo.study import ById, Study
-from jaxscp.planner.planner import Planner
 from jaxscp.problem.errors import InvalidProblem, InvalidScenario
+from jaxscp.solver.planner import Planner
 
 _WORDS = {
     "b": "a boolean",

@@ -10,8 +10,8 @@ from jaxscp.monte_carlo.intervals import CONFIDENCE, Interval, wilson
 from jaxscp.monte_carlo.outcome import STATUS, SUCCESS
 from jaxscp.monte_carlo.results import Sweep
 from jaxscp.monte_carlo.solves import Solves
-from jaxscp.planner.planner import Planner
 from jaxscp.problem.errors import InvalidProblem, InvalidScenario
+from jaxscp.solver.planner import Planner
 
 QUANTILES = (0.05, 0.5, 0.95)
 RESAMPLES = 1000
