@@ -25,7 +25,7 @@ from .problem.time import Time as Time
 from .problem.time import FreeTime as FreeTime
 from .problem.time import FixedTime as FixedTime
 from .problem.problem import OptimalControlProblem as OptimalControlProblem
-from .problem.errors import InvalidProblem as InvalidProblem
+from .core.errors import InvalidProblem as InvalidProblem
 
 # --- a guess ---
 from .problem.trajectory import Trajectory as Trajectory
@@ -46,7 +46,7 @@ from .landing.mission import Weights as Weights
 from .landing.scenario import LandingScenario as LandingScenario
 from .landing import scenarios as scenarios
 from .landing.validation import validate as validate
-from .problem.errors import InvalidScenario as InvalidScenario
+from .core.errors import InvalidScenario as InvalidScenario
 
 # --- a method ---
 from .scp.newton import NewtonSCP as NewtonSCP

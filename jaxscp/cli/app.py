@@ -24,13 +24,13 @@ from jaxscp.cli.options import with_options
 from jaxscp.cli.report import converged, map_facts, print_report, report, timed
 from jaxscp.cli.requests import CASES, CLEARANCE, JSON, MODES, RATE, MapRequest, PlanRequest
 from jaxscp.cli.sweep_command import SweepRequest
+from jaxscp.core.errors import InvalidScenario
 from jaxscp.core.version import __version__
 from jaxscp.corridor import CorridorResult, MapReport, PointCloud, box, build_corridor, draw_map
 from jaxscp.dynamics.airframes import paper_mav
 from jaxscp.landing import scenarios
 from jaxscp.landing.mission import at_rest
 from jaxscp.landing.scenario import LandingScenario
-from jaxscp.problem.errors import InvalidScenario
 from jaxscp.solver.solution import Solution
 
 PICTURED = 0.1  # m, between the points of a cloud in pictures

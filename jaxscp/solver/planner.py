@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxscp.aot import aot
-from jaxscp.problem.errors import InvalidScenario
+from jaxscp.core.errors import InvalidScenario
 from jaxscp.problem.trajectory import Trajectory
 from jaxscp.scp.method import Method
 from jaxscp.scp.newton import NewtonSCP
