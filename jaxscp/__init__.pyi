@@ -4,8 +4,8 @@
 from .dynamics.base import Dynamics as Dynamics
 from .dynamics.double_integrator import DoubleIntegrator as DoubleIntegrator
 from .dynamics.rigid_body import RigidBody as RigidBody
-from .dynamics.augmented import with_integral as with_integral
-from .dynamics.augmented import with_static as with_static
+from .problem.augmented import with_integral as with_integral
+from .problem.augmented import with_static as with_static
 from .problem.cost import Cost as Cost
 from .cones.cone import Zero as Zero
 from .cones.cone import NonNegative as NonNegative

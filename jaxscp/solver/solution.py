@@ -13,7 +13,7 @@ from jaxscp.backends.xla import is_traced
 from jaxscp.core import pytree_file
 from jaxscp.core.status import Status, StatusCode, status_names
 from jaxscp.core.types import Count, Flag, Scalar
-from jaxscp.dynamics.augmented import DYNAMICS, can_be_stored
+from jaxscp.problem.augmented import DYNAMICS, can_be_stored
 from jaxscp.problem.multipliers import Multipliers
 from jaxscp.problem.trajectory import Trajectory
 from jaxscp.scp.history import History
