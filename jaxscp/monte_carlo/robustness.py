@@ -9,6 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from jaxscp.core.picture_style import BLUE, DPI, GREY, LEGEND, VERMILLION
 from jaxscp.monte_carlo.driver import sweep
 from jaxscp.monte_carlo.engines import InProcess
 from jaxscp.monte_carlo.evaluators import Together
@@ -19,7 +20,6 @@ from jaxscp.monte_carlo.results import Sweep
 from jaxscp.monte_carlo.sampling import Independent
 from jaxscp.monte_carlo.study import Study
 from jaxscp.monte_carlo.trajectories import AllTrajectories
-from jaxscp.plot.style import BLUE, DPI, GREY, LEGEND, VERMILLION
 from jaxscp.problem.canonical import canonical
 from jaxscp.problem.form import Continuous
 from jaxscp.problem.lowering import over_scaled_time
