@@ -10,7 +10,7 @@ from typing import Any, TypedDict, Unpack
 import numpy as np
 
 from jaxscp.core.arrays import floats
-from jaxscp.corridor.obstacles import Obstacles
+from jaxscp.core.obstacles import Obstacles
 from jaxscp.corridor.polytopes import Corridor, box, connect
 from jaxscp.dynamics.airframes import Airframe, paper_mav
 from jaxscp.landing.doubts import doubts

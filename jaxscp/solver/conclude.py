@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 
 from jaxscp.core import batching
+from jaxscp.core.obstacles import Hull
 from jaxscp.core.status import Status, StatusCode
 from jaxscp.core.types import Scalar
-from jaxscp.corridor.obstacles import Hull
 from jaxscp.problem.scaled_time import ScaledTimeProblem
 from jaxscp.problem.trajectory import Trajectory
 from jaxscp.scp.history import History
