@@ -27,7 +27,6 @@ from jaxscp.cli.sweep_command import SweepRequest
 from jaxscp.core.errors import InvalidScenario
 from jaxscp.core.version import __version__
 from jaxscp.corridor import CorridorResult, MapReport, PointCloud, box, build_corridor, draw_map
-from jaxscp.dynamics.airframes import paper_mav
 from jaxscp.landing import scenarios
 from jaxscp.landing.mission import at_rest
 from jaxscp.landing.scenario import LandingScenario
@@ -193,7 +192,7 @@ def _corridor(request: PlanRequest, file: Path, notes: Console) -> tuple[PointCl
     options = {"lower": request.lower, "upper": request.upper, "clearance": clearance, "remove": decks}
     with refusals(), told_warnings(Console(stderr=True)):
         points = request.read(file)
-        if request.safety_radius < (hull := float(paper_mav().radius)):
+        if request.safety_radius < (hull := float(scenarios.usual_airframe().radius)):
             warnings.warn(
                 f"--radius {request.safety_radius:g} m is below the vehicle's radius, {hull:g} m: a plan so near to "
                 f"a point is not converged; give --radius {hull:g} or more",

@@ -59,6 +59,11 @@ def ascent_to_platform() -> LandingScenario:
     return _mission(at_rest([0.0, 0.0, 1.0]), at_rest([5.0, 3.0, 4.7]), corridor, obstacles)
 
 
+def usual_airframe() -> Airframe:
+    """The vehicle of a scenario that names none: the paper's."""
+    return paper_mav()
+
+
 class Parts(TypedDict, total=False):
     """Keyword arguments of ``through``: the fields of ``LandingScenario``."""
 
@@ -118,7 +123,7 @@ def _through(
     corridor: Corridor, start: BodyState, goal: BodyState, obstacles: Any, **parts: Unpack[Parts]
 ) -> LandingScenario:
     paper: Parts = {
-        "airframe": paper_mav(),
+        "airframe": usual_airframe(),
         "cone_angle": np.pi / 4,
         "weights": Weights(control=1.0, time=0.0),
         "dilation_min": 0.5,
