@@ -16,8 +16,9 @@ import numpy as np
 import typer
 from rich.console import Console
 
+from jaxscp.aot.installation import installation
 from jaxscp.cli.endings import Commands, check_platform, refusals, told_warnings
-from jaxscp.cli.info import info, info_text
+from jaxscp.cli.info import info_text
 from jaxscp.cli.map_options import MapOptions, closed_gap, gap_text
 from jaxscp.cli.mission_command import MissionRequest
 from jaxscp.cli.options import with_options
@@ -58,7 +59,7 @@ def jaxscp(version: Annotated[bool, _VERSION] = False) -> None:
 def info_command(as_json: Annotated[bool, JSON] = False) -> None:
     """Print versions, devices, the compiled libraries that serve, why others do not, and the cache."""
     check_platform()
-    facts = info()
+    facts = installation()
     if as_json:
         typer.echo(json.dumps(facts))
     else:
@@ -92,7 +93,7 @@ def plan(request: PlanRequest) -> None:
             "nodes": nodes,
             **report(solution, timing),
             **facts,
-            "info": info(),
+            "info": installation(),
         }
         typer.echo(json.dumps(facts, allow_nan=False))
     else:
