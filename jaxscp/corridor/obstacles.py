@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from jaxscp.core.arrays import floats
 from jaxscp.core.obstacles import Hull as Hull  # a public name of this room
-from jaxscp.core.obstacles import Obstacles as Obstacles
+from jaxscp.core.obstacles import Obstacles
 from jaxscp.corridor.clouds import PointCloud
 from jaxscp.corridor.extent import within
 from jaxscp.corridor.polytope import Polytope

@@ -109,6 +109,9 @@ class Solution(eqx.Module):
             problem: that was solved; it gives the dynamics.
             samples: points an interval, two at least.
 
+        Returns:
+            ``time`` (intervals, samples) in s, ``state`` and ``control`` (intervals, samples, ...).
+
         Example:
             >>> import jaxscp
             >>> scenario = jaxscp.scenarios.ascent_to_platform()
