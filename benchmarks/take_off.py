@@ -54,7 +54,7 @@ def figure(height: np.ndarray, share: np.ndarray):
     """Height and thrust against time."""
     from matplotlib.figure import Figure
 
-    from jaxscp.plot.style import BLUE, LEGEND, ORANGE
+    from jaxscp.core.picture_style import BLUE, LEGEND, ORANGE
 
     drawn = Figure(figsize=(8.0, 3.2), layout="constrained")
     left, right = drawn.subplots(1, 2)

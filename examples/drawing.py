@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import jaxscp as js
-from jaxscp.plot.style import BLACK, BLUE, DASHED, GREEN, LEGEND, ORANGE, PURPLE, VERMILLION
+from jaxscp.core.picture_style import BLACK, BLUE, DASHED, GREEN, LEGEND, ORANGE, PURPLE, VERMILLION
 from jaxscp.verification.integrator.integrate import integrate
 
 OBSTACLE: dict[str, Any] = {"facecolor": "0.87", "edgecolor": "0.55", "linewidth": 0.8}

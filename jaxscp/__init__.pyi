@@ -4,8 +4,8 @@
 from .dynamics.base import Dynamics as Dynamics
 from .dynamics.double_integrator import DoubleIntegrator as DoubleIntegrator
 from .dynamics.rigid_body import RigidBody as RigidBody
-from .dynamics.augmented import with_integral as with_integral
-from .dynamics.augmented import with_static as with_static
+from .problem.augmented import with_integral as with_integral
+from .problem.augmented import with_static as with_static
 from .problem.cost import Cost as Cost
 from .cones.cone import Zero as Zero
 from .cones.cone import NonNegative as NonNegative
@@ -25,7 +25,7 @@ from .problem.time import Time as Time
 from .problem.time import FreeTime as FreeTime
 from .problem.time import FixedTime as FixedTime
 from .problem.problem import OptimalControlProblem as OptimalControlProblem
-from .problem.errors import InvalidProblem as InvalidProblem
+from .core.errors import InvalidProblem as InvalidProblem
 
 # --- a guess ---
 from .problem.trajectory import Trajectory as Trajectory
@@ -46,7 +46,7 @@ from .landing.mission import Weights as Weights
 from .landing.scenario import LandingScenario as LandingScenario
 from .landing import scenarios as scenarios
 from .landing.validation import validate as validate
-from .problem.errors import InvalidScenario as InvalidScenario
+from .core.errors import InvalidScenario as InvalidScenario
 
 # --- a method ---
 from .scp.newton import NewtonSCP as NewtonSCP
@@ -59,7 +59,7 @@ from .problem.scale import Scale as Scale
 # --- solve ---
 from .solver.solver import solve as solve
 from .solver.solver import Solver as Solver
-from .planner.planner import Planner as Planner
+from .solver.planner import Planner as Planner
 from .solver.scenario import Scenario as Scenario
 
 # --- a solution ---

@@ -23,7 +23,7 @@ from jax.experimental import serialize_executable
 from jaxscp.aot.notes import without_false_alarms
 from jaxscp.backends import libraries
 
-FORMAT = 16
+FORMAT = 17
 PROGRAMS = ("setup", "solve", "conclude")
 COMPILED = (
     *(library.on_gpu for library in libraries.EVERY if library.on_gpu),

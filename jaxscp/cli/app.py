@@ -16,21 +16,21 @@ import numpy as np
 import typer
 from rich.console import Console
 
+from jaxscp.aot.installation import installation
 from jaxscp.cli.endings import Commands, check_platform, refusals, told_warnings
-from jaxscp.cli.info import info, info_text
+from jaxscp.cli.info import info_text
 from jaxscp.cli.map_options import MapOptions, closed_gap, gap_text
 from jaxscp.cli.mission_command import MissionRequest
 from jaxscp.cli.options import with_options
 from jaxscp.cli.report import converged, map_facts, print_report, report, timed
 from jaxscp.cli.requests import CASES, CLEARANCE, JSON, MODES, RATE, MapRequest, PlanRequest
 from jaxscp.cli.sweep_command import SweepRequest
+from jaxscp.core.errors import InvalidScenario
 from jaxscp.core.version import __version__
 from jaxscp.corridor import CorridorResult, MapReport, PointCloud, box, build_corridor, draw_map
-from jaxscp.dynamics.airframes import paper_mav
 from jaxscp.landing import scenarios
 from jaxscp.landing.mission import at_rest
 from jaxscp.landing.scenario import LandingScenario
-from jaxscp.problem.errors import InvalidScenario
 from jaxscp.solver.solution import Solution
 
 PICTURED = 0.1  # m, between the points of a cloud in pictures
@@ -59,7 +59,7 @@ def jaxscp(version: Annotated[bool, _VERSION] = False) -> None:
 def info_command(as_json: Annotated[bool, JSON] = False) -> None:
     """Print versions, devices, the compiled libraries that serve, why others do not, and the cache."""
     check_platform()
-    facts = info()
+    facts = installation()
     if as_json:
         typer.echo(json.dumps(facts))
     else:
@@ -93,7 +93,7 @@ def plan(request: PlanRequest) -> None:
             "nodes": nodes,
             **report(solution, timing),
             **facts,
-            "info": info(),
+            "info": installation(),
         }
         typer.echo(json.dumps(facts, allow_nan=False))
     else:
@@ -193,7 +193,7 @@ def _corridor(request: PlanRequest, file: Path, notes: Console) -> tuple[PointCl
     options = {"lower": request.lower, "upper": request.upper, "clearance": clearance, "remove": decks}
     with refusals(), told_warnings(Console(stderr=True)):
         points = request.read(file)
-        if request.safety_radius < (hull := float(paper_mav().radius)):
+        if request.safety_radius < (hull := float(scenarios.usual_airframe().radius)):
             warnings.warn(
                 f"--radius {request.safety_radius:g} m is below the vehicle's radius, {hull:g} m: a plan so near to "
                 f"a point is not converged; give --radius {hull:g} or more",

@@ -12,7 +12,7 @@ from rich.console import Console
 from jaxscp.core.status import Status, status_names
 from jaxscp.corridor.map_report import MapReport
 from jaxscp.landing.scenario import LandingScenario
-from jaxscp.planner.planner import Planner
+from jaxscp.solver.planner import Planner
 from jaxscp.solver.solution import Solution
 
 

@@ -14,9 +14,7 @@ from jaxscp.core.arrays import floats
 from jaxscp.corridor import CorridorOptions
 from jaxscp.landing import scenarios
 from jaxscp.landing.scenario import LandingScenario
-from jaxscp.planner.planner import Planner
-from jaxscp.scp.nodal_subproblem import ProximalTrustRegion
-from jaxscp.scp.ptr import PTR
+from jaxscp.solver.planner import Planner
 
 CASES: dict[str, Callable[[], LandingScenario]] = {
     "platform": scenarios.platform_to_platform,
@@ -29,7 +27,7 @@ MODES: dict[str, Callable[[int | None], Planner]] = {
     # Table I of the paper
     "paper": Planner.paper,
     # a light weight takes long steps, many of them
-    "proximal": lambda nodes: Planner(nodes=nodes, method=PTR(ProximalTrustRegion(0.02), max_iterations=200)),
+    "proximal": Planner.proximal,
 }
 
 CLEARANCE = CorridorOptions().clearance

@@ -18,10 +18,10 @@ from jaxscp.control.horizon import Horizon
 from jaxscp.control.prediction import Plan, advance, linearise, sensitivities
 from jaxscp.control.reference import SAMPLES, Reference
 from jaxscp.control.tracking import Tracking
+from jaxscp.core.errors import InvalidProblem
 from jaxscp.core.status import Status, StatusCode
 from jaxscp.core.types import Flag, Scalar
 from jaxscp.dynamics.base import Dynamics
-from jaxscp.problem.errors import InvalidProblem
 from jaxscp.problem.trajectory import Trajectory
 
 END = 0.01  # of the tolerance: there the interior point ends

@@ -1,1 +1,1 @@
-"""Array types, statuses, batched loops: nothing here knows a problem."""
+"""Array types, statuses, errors, batched loops, and data that rooms share: nothing here knows a problem."""

@@ -24,6 +24,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
+from jaxscp.core.obstacles import Obstacles
 from jaxscp.corridor.cells import cells_along
 from jaxscp.corridor.clouds import PointCloud
 from jaxscp.corridor.decks import Deck, obstacles_of_leg, split_decks
@@ -32,7 +33,7 @@ from jaxscp.corridor.extent import Triple
 from jaxscp.corridor.gaps import text_of_closed, with_closed_gaps
 from jaxscp.corridor.limits import Limits, flyable
 from jaxscp.corridor.map_report import MapError, MapReport, map_report
-from jaxscp.corridor.obstacles import Obstacles, padded_obstacles
+from jaxscp.corridor.obstacles import padded_obstacles
 from jaxscp.corridor.padding import pad as pad
 from jaxscp.corridor.polytope import Polytope
 from jaxscp.corridor.polytopes import Corridor

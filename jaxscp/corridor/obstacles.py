@@ -1,15 +1,15 @@
-"""Obstacle points near a corridor, those inside a corridor made by hand, and the hull that flies among them."""
+"""Obstacle points near a corridor, and those inside a corridor made by hand."""
 
 from collections.abc import Sequence
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool
 from numpy.typing import ArrayLike
 
 from jaxscp.core.arrays import floats
-from jaxscp.core.types import Scalar
+from jaxscp.core.obstacles import Hull as Hull  # a public name of this room
+from jaxscp.core.obstacles import Obstacles
 from jaxscp.corridor.clouds import PointCloud
 from jaxscp.corridor.extent import within
 from jaxscp.corridor.polytope import Polytope
@@ -17,31 +17,6 @@ from jaxscp.corridor.polytopes import Corridor
 from jaxscp.corridor.shapes import vertices
 
 _SMALLEST = 64
-
-
-class Obstacles(eqx.Module):
-    """Obstacle points near a corridor, padded to a static size."""
-
-    points: Float[Array, "points 3"]
-    """Positions, (points, 3), metres; zero in rows that pad."""
-    present: Bool[Array, "points"]
-    """False in rows that pad, (points,)."""
-    deck: Bool[Array, "points"]
-    """Points of a deck, which count except in the first and the last leg, (points,)."""
-    spread: Scalar
-    """How far an original point can be from the one that stands for it, metres."""
-    reach: Scalar
-    """Distance from the corridor within which every obstacle is known, metres."""
-
-
-class Hull(eqx.Module):
-    """A vehicle as a ball, and the obstacles that it must not touch."""
-
-    radius: Scalar
-    """Of the ball about the vehicle's centre, metres."""
-    obstacles: Obstacles
-    at_deck: Bool[Array, "intervals"]
-    """Intervals of the first and the last leg, where points of a deck do not count."""
 
 
 def inside_corridor(corridor: Corridor, cloud: PointCloud, margin: float = 0.0) -> Bool[np.ndarray, "points"]:

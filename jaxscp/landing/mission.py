@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxscp.core.arrays import as_floats, floats, namespace, triple, unit_lengths
+from jaxscp.core.obstacles import Hull, Obstacles
 from jaxscp.core.types import Points, Quaternion, Scalar, Vector3
-from jaxscp.corridor.obstacles import Hull, Obstacles
 from jaxscp.corridor.polytopes import Corridor, unit_rows
 from jaxscp.dynamics import rotations
 from jaxscp.dynamics.airframes import Airframe

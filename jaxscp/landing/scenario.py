@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Int
 
 from jaxscp.core import pytree_file
+from jaxscp.core.errors import InvalidScenario
 from jaxscp.core.types import Flag, Scalar
 from jaxscp.landing.allocation import allocate
 from jaxscp.landing.guess import initial_guess
@@ -19,7 +20,6 @@ from jaxscp.landing.recovery import RECOVERY, starts_outside
 from jaxscp.landing.units import Units, in_units, units_of
 from jaxscp.landing.validation import check_types, nodes_of, valid, validate
 from jaxscp.landing.warm_guess import warm_guess
-from jaxscp.problem.errors import InvalidScenario
 from jaxscp.problem.form import Continuous, Form
 from jaxscp.problem.node_values import node_times
 from jaxscp.problem.problem import OptimalControlProblem

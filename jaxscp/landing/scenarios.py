@@ -10,7 +10,7 @@ from typing import Any, TypedDict, Unpack
 import numpy as np
 
 from jaxscp.core.arrays import floats
-from jaxscp.corridor.obstacles import Obstacles
+from jaxscp.core.obstacles import Obstacles
 from jaxscp.corridor.polytopes import Corridor, box, connect
 from jaxscp.dynamics.airframes import Airframe, paper_mav
 from jaxscp.landing.doubts import doubts
@@ -57,6 +57,11 @@ def ascent_to_platform() -> LandingScenario:
         joints=[[1.8, 2.4, 1.9], [1.9, 2.7, 5.5]],
     )
     return _mission(at_rest([0.0, 0.0, 1.0]), at_rest([5.0, 3.0, 4.7]), corridor, obstacles)
+
+
+def usual_airframe() -> Airframe:
+    """The vehicle of a scenario that names none: the paper's."""
+    return paper_mav()
 
 
 class Parts(TypedDict, total=False):
@@ -118,7 +123,7 @@ def _through(
     corridor: Corridor, start: BodyState, goal: BodyState, obstacles: Any, **parts: Unpack[Parts]
 ) -> LandingScenario:
     paper: Parts = {
-        "airframe": paper_mav(),
+        "airframe": usual_airframe(),
         "cone_angle": np.pi / 4,
         "weights": Weights(control=1.0, time=0.0),
         "dilation_min": 0.5,

@@ -8,8 +8,8 @@ from typing import Any
 
 import equinox as eqx
 
+from jaxscp.core.errors import InvalidScenario
 from jaxscp.landing.mission import Mission
-from jaxscp.problem.errors import InvalidScenario
 
 _MAKERS = {
     "BodyState": "jaxscp.at_rest(position, yaw) makes one",

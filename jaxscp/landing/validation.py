@@ -5,13 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxscp.core.arrays import PRECISION, double_precision
+from jaxscp.core.errors import InvalidScenario
 from jaxscp.core.trees import named_leaves
 from jaxscp.core.types import Flag
 from jaxscp.landing.allocation import usual_nodes
 from jaxscp.landing.mission import Mission
 from jaxscp.landing.rules import Rule, rules
 from jaxscp.landing.structure import check_parts
-from jaxscp.problem.errors import InvalidScenario
 
 _MASKS = ("near_obstacles.present", "near_obstacles.deck")
 
@@ -30,7 +30,7 @@ def validate(scenario: Mission, nodes: int | None = None) -> None:
         >>> jaxscp.validate(heavy)
         Traceback (most recent call last):
         ...
-        jaxscp.problem.errors.InvalidScenario: airframe: the rotors cannot carry the weight ...
+        jaxscp.core.errors.InvalidScenario: airframe: the rotors cannot carry the weight ...
     """
     if nodes is None:
         nodes = nodes_of(scenario)

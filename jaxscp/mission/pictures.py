@@ -10,9 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 
+from jaxscp.core.picture_style import BLACK, BLUE, DASHED, GOAL, GREY, LEGEND, LIMIT, ORANGE, START
 from jaxscp.mission.mission import Mission
 from jaxscp.mission.outcome import Outcome
-from jaxscp.plot.style import BLACK, BLUE, DASHED, GOAL, GREY, LEGEND, LIMIT, ORANGE, START
 from jaxscp.simulation import Scene
 from jaxscp.simulation.bodies import DECK_HEIGHT
 from jaxscp.simulation.simulate import TICK

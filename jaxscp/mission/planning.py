@@ -17,7 +17,7 @@ from jaxscp.landing import scenarios
 from jaxscp.landing.mission import Weights, at_rest, flight_limits
 from jaxscp.landing.scenario import LandingScenario
 from jaxscp.mission.fields import Field
-from jaxscp.planner.planner import Planner
+from jaxscp.solver.planner import Planner
 
 POLYTOPES, FACES = (8, 16), 40  # sizes that compile once each
 THRUST_RESERVE = 0.75  # of the greatest thrust, for the plan

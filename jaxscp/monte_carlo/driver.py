@@ -22,7 +22,7 @@ from jaxscp.monte_carlo.stopping import Ending, Observed, Stop
 from jaxscp.monte_carlo.storage import ENDING, LOCK, Layout, Store
 from jaxscp.monte_carlo.study import Study
 from jaxscp.monte_carlo.trajectories import Keep, NoTrajectories
-from jaxscp.planner.planner import Planner
+from jaxscp.solver.planner import Planner
 
 CHUNK = 100
 

@@ -11,6 +11,7 @@ import jax
 import numpy as np
 
 from jaxscp.aot.aot import batched
+from jaxscp.core.errors import InvalidProblem, InvalidScenario
 from jaxscp.core.status import STATUS_NAMES
 from jaxscp.core.threads import in_order, usable_cores
 from jaxscp.monte_carlo.errors import InvalidStudy, SweepError
@@ -29,8 +30,7 @@ from jaxscp.monte_carlo.outcome import (
 from jaxscp.monte_carlo.sampling import Numbers, UnitPoints
 from jaxscp.monte_carlo.solves import Solves
 from jaxscp.monte_carlo.study import ById, Study
-from jaxscp.planner.planner import Planner
-from jaxscp.problem.errors import InvalidProblem, InvalidScenario
+from jaxscp.solver.planner import Planner
 
 _WORDS = {
     "b": "a boolean",

@@ -4,11 +4,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxscp.core.picture_style import BLUE, DPI, GREY, LEGEND, SKY, VERMILLION
 from jaxscp.monte_carlo.errors import InvalidStudy
 from jaxscp.monte_carlo.intervals import wilson_limits
 from jaxscp.monte_carlo.outcome import SUCCESS
 from jaxscp.monte_carlo.sensitivity import rank_correlations
-from jaxscp.plot.style import BLUE, DPI, GREY, LEGEND, SKY, VERMILLION
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

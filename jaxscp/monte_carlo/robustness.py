@@ -9,6 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from jaxscp.core.picture_style import BLUE, DPI, GREY, LEGEND, VERMILLION
 from jaxscp.monte_carlo.driver import sweep
 from jaxscp.monte_carlo.engines import InProcess
 from jaxscp.monte_carlo.evaluators import Together
@@ -19,10 +20,7 @@ from jaxscp.monte_carlo.results import Sweep
 from jaxscp.monte_carlo.sampling import Independent
 from jaxscp.monte_carlo.study import Study
 from jaxscp.monte_carlo.trajectories import AllTrajectories
-from jaxscp.plot.style import BLUE, DPI, GREY, LEGEND, VERMILLION
-from jaxscp.problem.canonical import canonical
 from jaxscp.problem.form import Continuous
-from jaxscp.problem.lowering import over_scaled_time
 from jaxscp.problem.trajectory import Trajectory
 from jaxscp.solver.solution import Solution
 from jaxscp.verification.certificate import certify
@@ -55,7 +53,7 @@ class OpenLoop(eqx.Module):
         start = scenario.start.vector() if hasattr(scenario, "start") else self.plan.state[0]
         path = eqx.tree_at(lambda t: t.state, self.plan, self.plan.state.at[0].set(start))
         found = certificate_scalars(certify(problem, path, SAMPLES))
-        flight = rollout(over_scaled_time(canonical(problem), Continuous(), path), path, SAMPLES)
+        flight = rollout(problem, path, SAMPLES)
         success = jnp.all(jnp.stack([found[name] <= limit for name, limit in self.allowed]))
         state = flight.state.reshape(-1, flight.state.shape[-1])
         return Outcome({SUCCESS: success, **found}, {"time": flight.time.reshape(-1), "state": state})

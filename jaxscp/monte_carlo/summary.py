@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 
+from jaxscp.core.errors import InvalidProblem, InvalidScenario
 from jaxscp.core.status import STATUS_NAMES, Status
 from jaxscp.monte_carlo.intervals import CONFIDENCE, Interval, wilson
 from jaxscp.monte_carlo.outcome import STATUS, SUCCESS
 from jaxscp.monte_carlo.results import Sweep
 from jaxscp.monte_carlo.solves import Solves
-from jaxscp.planner.planner import Planner
-from jaxscp.problem.errors import InvalidProblem, InvalidScenario
+from jaxscp.solver.planner import Planner
 
 QUANTILES = (0.05, 0.5, 0.95)
 RESAMPLES = 1000

@@ -6,12 +6,12 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Polygon
 from scipy.spatial import ConvexHull
 
+from jaxscp.core.picture_style import BLACK, BLUE, GATE, GOAL, GREY, LIMIT, START
 from jaxscp.corridor.shapes import vertices
 from jaxscp.landing.mission import Ellipsoids
 from jaxscp.landing.scenario import LandingScenario
 from jaxscp.plot.curves import Curves
 from jaxscp.plot.hidden import at_height_of
-from jaxscp.plot.style import BLACK, BLUE, GATE, GOAL, GREY, LIMIT, START
 
 
 def draw_above(ax: Axes, scenario: LandingScenario, curves: Curves, nodes: Curves) -> Axes:

@@ -6,8 +6,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
+from jaxscp.core.picture_style import BLUE, GREEN, LEGEND, ORANGE
 from jaxscp.plot.curves import Array
-from jaxscp.plot.style import BLUE, GREEN, LEGEND, ORANGE
 from jaxscp.solver.solution import Solution
 
 

@@ -12,10 +12,7 @@ from jaxscp.landing.mission import Ellipsoids
 from jaxscp.landing.places import leg_of, polytope_of
 from jaxscp.landing.problem import landing_problem
 from jaxscp.landing.scenario import LandingScenario
-from jaxscp.problem.form import Continuous
-from jaxscp.problem.lowering import over_scaled_time
 from jaxscp.solver.solution import Solution
-from jaxscp.verification.rollout import Rollout, rollout
 
 SAMPLES = 24  # drawn points an interval
 
@@ -44,10 +41,10 @@ def integrated(scenario: LandingScenario, solution: Solution, samples: int = SAM
             f"scenario: expected a LandingScenario, got a {type(scenario).__name__}. They show landings; of a "
             "problem of your own, plot solution.trajectory.sample(rate=100)."
         )
-    path = _rollout(scenario, solution, samples)
-    flat = jax.tree.map(lambda v: np.asarray(v).reshape(-1, *v.shape[2:]), path)
+    parts = _rollout(scenario, solution, samples)
+    time, state, control = (np.asarray(v).reshape(-1, *v.shape[2:]) for v in parts)
     cell = np.asarray(polytope_of(solution.context))
-    return Curves(flat.time, flat.state, flat.control, np.repeat(cell, samples))
+    return Curves(time, state, control, np.repeat(cell, samples))
 
 
 def planned(solution: Solution) -> Curves:
@@ -60,12 +57,10 @@ def planned(solution: Solution) -> Curves:
 
 
 @eqx.filter_jit
-def _rollout(scenario: LandingScenario, solution: Solution, samples: int) -> Rollout:
-    return rollout(
-        over_scaled_time(landing_problem(scenario, leg_of(solution.context)), Continuous()),
-        solution.trajectory,
-        samples,
-    )
+def _rollout(scenario: LandingScenario, solution: Solution, samples: int) -> tuple[jax.Array, ...]:
+    """Times, states and controls, each (intervals, samples, ...)."""
+    path = solution.rollout(landing_problem(scenario, leg_of(solution.context)), samples)
+    return path.time, path.state, path.control
 
 
 def corridor_margin(corridor: Corridor, curves: Curves) -> Array:

@@ -6,12 +6,12 @@ import numpy as np
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import Axes3D
 
+from jaxscp.core.picture_style import COLUMN, DPI
 from jaxscp.landing.scenario import LandingScenario
 from jaxscp.plot.above import draw_above
 from jaxscp.plot.curves import integrated, planned
 from jaxscp.plot.panels import draw_histories
 from jaxscp.plot.space import draw_scene
-from jaxscp.plot.style import COLUMN, DPI
 from jaxscp.solver.solution import Solution
 
 

@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import Axes3D
 
+from jaxscp.core.picture_style import DPI, LEGEND
 from jaxscp.core.status import status_names
 from jaxscp.landing.scenario import LandingScenario
 from jaxscp.plot.above import draw_above
@@ -13,7 +14,6 @@ from jaxscp.plot.convergence import draw_convergence
 from jaxscp.plot.curves import integrated, planned
 from jaxscp.plot.panels import draw_histories
 from jaxscp.plot.space import draw_scene
-from jaxscp.plot.style import DPI, LEGEND
 from jaxscp.solver.solution import Solution
 
 

@@ -8,11 +8,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from scipy.spatial import KDTree
 
+from jaxscp.core.picture_style import BLACK, BLUE, DASHED, GREY, LEGEND, LIMIT, PURPLE, SKY
 from jaxscp.core.types import Scalar
 from jaxscp.dynamics import rotations
 from jaxscp.landing.scenario import LandingScenario
 from jaxscp.plot.curves import Curves, union_margin, zone_margin
-from jaxscp.plot.style import BLACK, BLUE, DASHED, GREY, LEGEND, LIMIT, PURPLE, SKY
 
 
 def draw_histories(axes: Any, scenario: LandingScenario, curves: Curves, nodes: Curves) -> Any:

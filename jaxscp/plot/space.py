@@ -10,6 +10,7 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d import Axes3D, proj3d
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
+from jaxscp.core.picture_style import BLACK, BLUE, BODY_AXES, GATE, GOAL, GREY, LIMIT, START
 from jaxscp.corridor.polytopes import Corridor
 from jaxscp.corridor.shapes import polygons
 from jaxscp.dynamics import rotations
@@ -17,7 +18,6 @@ from jaxscp.landing.mission import BodyState, Ellipsoids
 from jaxscp.landing.scenario import LandingScenario
 from jaxscp.plot.curves import Array, Curves
 from jaxscp.plot.hidden import cut_open, hidden, toward_viewer
-from jaxscp.plot.style import BLACK, BLUE, BODY_AXES, GATE, GOAL, GREY, LIMIT, START
 
 ELEVATION, AZIMUTH = 38.0, -70.0  # degrees
 

@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxscp.core.arrays import components, floats
+from jaxscp.core.errors import InvalidProblem
 from jaxscp.core.types import Scalar
-from jaxscp.problem.errors import InvalidProblem
 
 END_TOLERANCE = 1e-3  # of a row, in its unit: error that counts as none
 

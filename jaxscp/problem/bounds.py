@@ -11,8 +11,8 @@ from jaxtyping import Array, Float
 
 from jaxscp.cones.cone import NonNegative
 from jaxscp.core.arrays import components, floats
+from jaxscp.core.errors import InvalidProblem
 from jaxscp.problem.constraint import AtNodes, Constraint, Throughout
-from jaxscp.problem.errors import InvalidProblem
 
 
 class Side(eqx.Module):

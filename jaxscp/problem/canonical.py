@@ -15,12 +15,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
+from jaxscp.core.errors import InvalidProblem
 from jaxscp.core.program import Program, identify, of_this_package, wholly_of_this_package
 from jaxscp.dynamics.base import Dynamics, FunctionDynamics
 from jaxscp.problem.boundary import Boundary, EndRows
 from jaxscp.problem.constraint import Constraint, name_of
 from jaxscp.problem.cost import Cost
-from jaxscp.problem.errors import InvalidProblem
 from jaxscp.problem.parts import check_parts
 from jaxscp.problem.problem import OptimalControlProblem
 

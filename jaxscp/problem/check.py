@@ -7,11 +7,11 @@ import jax
 import numpy as np
 
 from jaxscp.core.arrays import PRECISION, double_precision
+from jaxscp.core.errors import InvalidProblem
 from jaxscp.core.trees import named_leaves
 from jaxscp.problem.boundary import EndCondition, fixed_values
 from jaxscp.problem.bounds import WithinBounds
 from jaxscp.problem.constraint import Constraint
-from jaxscp.problem.errors import InvalidProblem
 from jaxscp.problem.problem import OptimalControlProblem
 from jaxscp.problem.time import FreeTime, Time
 from jaxscp.problem.trajectory import Trajectory

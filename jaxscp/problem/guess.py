@@ -8,10 +8,10 @@ import numpy as np
 from jax.core import Tracer
 
 from jaxscp.core.arrays import namespace
+from jaxscp.core.errors import InvalidProblem
 from jaxscp.core.types import Scalar
 from jaxscp.problem.boundary import fixed_values
 from jaxscp.problem.bounds import control_bounds
-from jaxscp.problem.errors import InvalidProblem
 from jaxscp.problem.parts import check_parts
 from jaxscp.problem.problem import OptimalControlProblem
 from jaxscp.problem.time import FixedTime

@@ -9,10 +9,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxscp.cones.cone import NonNegative
+from jaxscp.core.errors import InvalidProblem
 from jaxscp.core.program import reads
 from jaxscp.core.types import Scalar
 from jaxscp.problem.constraint import DISTANCE_TOLERANCE, AtNodes, Constraint
-from jaxscp.problem.errors import InvalidProblem
 from jaxscp.problem.form import Form
 from jaxscp.problem.problem import OptimalControlProblem
 from jaxscp.problem.scaled_time import PathConstraint, ScaledTimeProblem

@@ -4,11 +4,11 @@ import operator
 from typing import Any
 
 from jaxscp.cones.cone import Cone
+from jaxscp.core.errors import InvalidProblem
 from jaxscp.dynamics.base import Dynamics
 from jaxscp.problem.boundary import Boundary, EndCondition
 from jaxscp.problem.constraint import Constraint, Where
 from jaxscp.problem.cost import Cost
-from jaxscp.problem.errors import InvalidProblem
 from jaxscp.problem.problem import OptimalControlProblem
 from jaxscp.problem.time import FixedTime, FreeTime, Time
 

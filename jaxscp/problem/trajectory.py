@@ -12,10 +12,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxscp.core.arrays import namespace
+from jaxscp.core.errors import InvalidProblem
 from jaxscp.core.numpy_files import DAMAGED
 from jaxscp.core.types import Controls, Nodes, Scalar, States
 from jaxscp.dynamics.base import Dynamics
-from jaxscp.problem.errors import InvalidProblem
 from jaxscp.problem.node_values import interval_at, node_times
 from jaxscp.problem.samples import ROUNDING, STEPS, Pieces, Samples, samples_at
 

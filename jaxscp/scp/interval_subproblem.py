@@ -13,8 +13,8 @@ from jaxtyping import Array, Float
 
 from jaxscp.cones.kinds import by_cone
 from jaxscp.conic.program import Cones, ConicMultipliers, CouplingRows, HalfSpaceRows, StagedProgram
+from jaxscp.core.errors import InvalidProblem
 from jaxscp.problem.end_conditions import Condition
-from jaxscp.problem.errors import InvalidProblem
 from jaxscp.problem.multipliers import Multipliers
 from jaxscp.problem.scaled_time import PathConstraint, ScaledTimeProblem
 from jaxscp.transcription.layout import cost_gradient

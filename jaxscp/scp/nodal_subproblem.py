@@ -7,9 +7,9 @@ from jaxtyping import Array, Float
 
 from jaxscp.cones.kinds import by_cone
 from jaxscp.conic.program import Cones, CouplingRows, HalfSpaceRows, NormCost, StagedProgram
+from jaxscp.core.errors import InvalidProblem
 from jaxscp.core.types import Scalar
 from jaxscp.problem.end_conditions import Condition, linearised_ends
-from jaxscp.problem.errors import InvalidProblem
 from jaxscp.problem.scaled_time import PathConstraint, ScaledTimeProblem
 from jaxscp.transcription.discretise import Discretisation
 

@@ -1,1 +1,1 @@
-"""A method and a problem make a solution."""
+"""A method and a problem, or a scenario that states one, make a solution."""

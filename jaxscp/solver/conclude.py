@@ -7,19 +7,20 @@ import jax
 import jax.numpy as jnp
 
 from jaxscp.core import batching
+from jaxscp.core.obstacles import Hull
 from jaxscp.core.status import Status, StatusCode
 from jaxscp.core.types import Scalar
-from jaxscp.corridor.obstacles import Hull
 from jaxscp.problem.scaled_time import ScaledTimeProblem
 from jaxscp.problem.trajectory import Trajectory
 from jaxscp.scp.history import History
 from jaxscp.scp.method import Method, MethodResult
 from jaxscp.solver.scenario import Units
 from jaxscp.solver.solution import Solution
+from jaxscp.transcription.gradient import gradient_by
 from jaxscp.transcription.layout import trajectory_of
 from jaxscp.transcription.stationarity import stationarity
 from jaxscp.verification.certificate import Certificate, certify
-from jaxscp.verification.gradient import verified_gradient
+from jaxscp.verification.integrator.method import eighth_order
 
 CERTIFICATE_CHUNK = (4096,)  # batch elements certified at once on a GPU, which takes as long for fewer
 
@@ -116,6 +117,6 @@ def _certificate(
     """Certificate of a trajectory; with multipliers and a grid, its KKT residual by the verifier's integration."""
     optimality = None
     if result.multipliers is not None and method.grid is not None:
-        gradient = verified_gradient(problem, result.z, result.multipliers, method.grid)
+        gradient = gradient_by(eighth_order(), problem, result.z, result.multipliers, method.grid)
         optimality = stationarity(gradient, result.z, result.cost)
     return certify(asked, trajectory, samples, optimality, hull)

@@ -9,8 +9,8 @@ import numpy as np
 
 from jaxscp.aot.aot import one_element, with_arrays
 from jaxscp.aot.pytree_spec import difference, spec_of
+from jaxscp.core.errors import InvalidScenario
 from jaxscp.core.threads import in_order, usable_cores
-from jaxscp.problem.errors import InvalidScenario
 from jaxscp.solver.pipeline import Pipeline
 from jaxscp.solver.scenario import Scenario
 

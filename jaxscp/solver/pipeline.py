@@ -20,11 +20,11 @@ from jax.core import Tracer
 
 from jaxscp.aot import aot, export, planner_cache
 from jaxscp.backends.xla import any_rank, is_traced, jit_with_options
+from jaxscp.core.errors import InvalidScenario
 from jaxscp.core.implicit import undefined_unless
 from jaxscp.core.status import Status
 from jaxscp.core.types import Flag, Scalar
 from jaxscp.problem.canonical import canonical
-from jaxscp.problem.errors import InvalidScenario
 from jaxscp.problem.lowering import over_scaled_time
 from jaxscp.problem.scaled_time import ScaledTimeProblem
 from jaxscp.problem.trajectory import Trajectory

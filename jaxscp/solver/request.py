@@ -6,10 +6,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from jaxscp.core.errors import InvalidProblem
 from jaxscp.core.types import Flag
 from jaxscp.problem.canonical import as_array, canonical
 from jaxscp.problem.check import check_shapes, check_values, rules
-from jaxscp.problem.errors import InvalidProblem
 from jaxscp.problem.form import Form
 from jaxscp.problem.lowering import dilation_limits
 from jaxscp.problem.node_values import node_times

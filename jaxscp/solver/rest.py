@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
+from jaxscp.core.errors import InvalidScenario
 from jaxscp.core.types import Scalar
-from jaxscp.problem.errors import InvalidScenario
 from jaxscp.problem.trajectory import Trajectory
 
 

@@ -4,8 +4,8 @@ from typing import Any, Protocol, runtime_checkable
 
 from jaxtyping import Array, Int
 
+from jaxscp.core.obstacles import Hull
 from jaxscp.core.types import Flag, Scalar
-from jaxscp.corridor.obstacles import Hull
 from jaxscp.problem.form import Form
 from jaxscp.problem.multipliers import Multipliers
 from jaxscp.problem.problem import OptimalControlProblem

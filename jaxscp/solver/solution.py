@@ -13,11 +13,13 @@ from jaxscp.backends.xla import is_traced
 from jaxscp.core import pytree_file
 from jaxscp.core.status import Status, StatusCode, status_names
 from jaxscp.core.types import Count, Flag, Scalar
-from jaxscp.dynamics.augmented import DYNAMICS, can_be_stored
+from jaxscp.problem.augmented import DYNAMICS, can_be_stored
 from jaxscp.problem.multipliers import Multipliers
+from jaxscp.problem.problem import OptimalControlProblem
 from jaxscp.problem.trajectory import Trajectory
 from jaxscp.scp.history import History
 from jaxscp.verification.certificate import Certificate
+from jaxscp.verification.rollout import Rollout, rollout
 
 
 class Solution(eqx.Module):
@@ -99,6 +101,26 @@ class Solution(eqx.Module):
         if not isinstance(found, Solution):
             raise ValueError(f"{file}: holds no solution; Solution.save writes one")
         return found
+
+    def rollout(self, problem: OptimalControlProblem, samples: int = 200) -> Rollout:
+        """The controls integrated again from the start, without correction: the path that the certificate judges.
+
+        Args:
+            problem: that was solved; it gives the dynamics.
+            samples: points an interval, two at least.
+
+        Returns:
+            ``time`` (intervals, samples) in s, ``state`` and ``control`` (intervals, samples, ...).
+
+        Example:
+            >>> import jaxscp
+            >>> scenario = jaxscp.scenarios.ascent_to_platform()
+            >>> solution = jaxscp.Planner(nodes=10, method=jaxscp.PTR(max_iterations=1))(scenario)
+            >>> problem, _ = scenario.problem(10, context=solution.context)
+            >>> solution.rollout(problem, samples=20).state.shape
+            (9, 20, 13)
+        """
+        return rollout(problem, self.trajectory, samples)
 
     def iteration_table(self) -> str:
         """One line an iteration, then one for the interior point that found the optimum.

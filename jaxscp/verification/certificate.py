@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jaxscp.core.obstacles import Hull
 from jaxscp.core.types import Scalar
-from jaxscp.corridor.obstacles import Hull
 from jaxscp.problem.canonical import canonical
 from jaxscp.problem.constraint import DISTANCE_TOLERANCE
 from jaxscp.problem.form import Continuous

@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from jaxscp.core.obstacles import Hull
 from jaxscp.core.types import Scalar
-from jaxscp.corridor.obstacles import Hull
 from jaxscp.verification.rollout import Rollout
 
 PARTS = 50  # chords an interval, about

@@ -7,6 +7,10 @@ from jaxtyping import Array, Float
 from jaxscp.core.program import reads
 from jaxscp.core.types import Scalar
 from jaxscp.dynamics.base import Dynamics
+from jaxscp.problem.canonical import canonical
+from jaxscp.problem.form import Continuous
+from jaxscp.problem.lowering import over_scaled_time
+from jaxscp.problem.problem import OptimalControlProblem
 from jaxscp.problem.scaled_time import ScaledTimeProblem
 from jaxscp.problem.trajectory import Trajectory
 from jaxscp.verification.integrator.integrate import integrate
@@ -48,7 +52,9 @@ class Rollout(eqx.Module):
     control: Float[Array, "intervals samples controls"]
 
 
-def rollout(problem: ScaledTimeProblem, trajectory: Trajectory, samples: int) -> Rollout:
+def rollout(
+    problem: OptimalControlProblem | ScaledTimeProblem, trajectory: Trajectory, samples: int
+) -> Rollout:
     """Rollout of a trajectory's controls from its first state.
 
     Args:
@@ -56,6 +62,8 @@ def rollout(problem: ScaledTimeProblem, trajectory: Trajectory, samples: int) ->
         trajectory: gives the first state, the controls and the dilation.
         samples: points an interval, two at least.
     """
+    if isinstance(problem, OptimalControlProblem):
+        problem = over_scaled_time(canonical(problem), Continuous(), trajectory)
     intervals = trajectory.time.shape[0] - 1
     width, fractions = 1.0 / intervals, jnp.linspace(0.0, 1.0, samples)
     at = trajectory.state[0], trajectory.control[0], 0.0

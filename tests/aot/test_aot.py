@@ -33,7 +33,7 @@ jax.config.update("jax_enable_x64", True)
 import jaxscp
 
 solution = jaxscp.load(sys.argv[1], compile=False)(jaxscp.scenarios.ascent_to_platform())
-modules = {"jaxscp.planner.planner", "jaxscp.solver.pipeline", "jaxscp.solver.solver"}
+modules = {"jaxscp.solver.planner", "jaxscp.solver.pipeline", "jaxscp.solver.solver"}
 needless = {*modules, "diffrax", "jaxopt", "osqp", "matplotlib", *sys.argv[3:]} & set(sys.modules)
 assert not needless, needless
 np.savez(sys.argv[2], *jax.tree.leaves(solution))

@@ -208,7 +208,7 @@ def test_planners_scenarios_and_distributions_are_known():
 
 
 def test_installed_packages_are_told_from_the_studys_own_modules():
-    assert [bytecode.is_library(name) for name in ("json", "math", "jax.numpy", "jaxscp.planner")] == [
+    assert [bytecode.is_library(name) for name in ("json", "math", "jax.numpy", "jaxscp.solver")] == [
         True
     ] * 4
     assert not any(bytecode.is_library(name) for name in ("__main__", "study_file", "dice"))

@@ -15,8 +15,8 @@ from mpl_toolkits.mplot3d import Axes3D
 
 import jaxscp
 from jaxscp import plot
+from jaxscp.core.picture_style import VERMILLION
 from jaxscp.plot.curves import SAMPLES
-from jaxscp.plot.style import VERMILLION
 
 NODES = 20
 

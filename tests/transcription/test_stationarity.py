@@ -6,10 +6,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxscp.transcription.gradient import gradient_by
 from jaxscp.transcription.lagrangian import lagrangian, no_multipliers
 from jaxscp.transcription.shooting import Grid, evaluate, linearise
 from jaxscp.transcription.stationarity import lagrangian_gradient, stationarity
-from jaxscp.verification.gradient import verified_gradient
+from jaxscp.verification.integrator.method import eighth_order
 from tests.support.flights import random_nodes, short_problem
 
 ROUNDING = 1e-9  # relative to the largest entry
@@ -39,9 +40,9 @@ def test_gradient_is_that_of_the_lagrangian(point):
     close(lagrangian_gradient(problem, z, linear, y), expected, ROUNDING)
 
 
-def test_the_judges_gradient_is_the_limit_of_the_solvers(point):
+def test_the_verifiers_gradient_is_the_limit_of_the_solvers(point):
     problem, z, _, y = point
-    found = jax.jit(lambda z: verified_gradient(problem, z, y, Grid()))(z)
+    found = jax.jit(lambda z: gradient_by(eighth_order(), problem, z, y, Grid()))(z)
     fine = jax.jit(lambda z: linearise(problem, z, FINE))(z)
     close(found, lagrangian_gradient(problem, z, fine, y), RK6_ERROR)
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import jaxscp
-from jaxscp.problem.errors import InvalidScenario
+from jaxscp.core.errors import InvalidScenario
 
 SCENARIO = jaxscp.scenarios.ascent_to_platform()
 PLANNER = jaxscp.Planner(nodes=10, method=jaxscp.PTR(max_iterations=2))

@@ -9,11 +9,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxscp.aot import aot
-from jaxscp.problem.errors import InvalidScenario
+from jaxscp.core.errors import InvalidScenario
 from jaxscp.problem.trajectory import Trajectory
 from jaxscp.scp.method import Method
 from jaxscp.scp.newton import NewtonSCP
-from jaxscp.scp.nodal_subproblem import NormTrustRegion
+from jaxscp.scp.nodal_subproblem import NormTrustRegion, ProximalTrustRegion
 from jaxscp.scp.ptr import PTR
 from jaxscp.solver.many import Many, solve_many
 from jaxscp.solver.pipeline import Pipeline
@@ -56,6 +56,17 @@ class Planner(eqx.Module):
             1000.0
         """
         return Planner(nodes, PTR(NormTrustRegion(10.0), virtual_weight=1000.0))
+
+    @staticmethod
+    def proximal(nodes: int | None = None) -> "Planner":
+        """``PTR`` with a light proximal weight: it takes long steps, many of them.
+
+        Example:
+            >>> import jaxscp
+            >>> jaxscp.Planner.proximal(nodes=20).method.max_iterations
+            200
+        """
+        return Planner(nodes, PTR(ProximalTrustRegion(0.02), max_iterations=200))
 
     def __call__(self, scenario: Scenario) -> Solution:
         """Plan one scenario; use ``jax.vmap(planner)`` for a batch.

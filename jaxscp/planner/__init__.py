@@ -1,1 +1,0 @@
-"""A planner: check a scenario, build its problem, solve, certify."""
