@@ -385,6 +385,14 @@ def test_a_straight_line_names_a_part_of_another_class(field, value):
         js.straight_line(problem(**{field: value}))
 
 
+@pytest.mark.parametrize(
+    ("argument", "value"), [("final_time", "2"), ("final_time", [2.0]), ("control", "hover"), ("control", {})]
+)
+def test_a_straight_line_names_an_argument_that_is_no_number(argument, value):
+    with pytest.raises(js.InvalidProblem, match=f"^{argument}: expected"):
+        js.straight_line(problem(), **{argument: value})
+
+
 def test_straight_line_needs_ends_that_are_given():
     ends = js.Boundary(REST, js.EndCondition(lambda x, t, p: x, rows=(js.EndRows("dock", count=2),)))
     with pytest.raises(js.InvalidProblem, match=r"boundary\.final: dock are given by a function"):

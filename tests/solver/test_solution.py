@@ -98,7 +98,7 @@ def test_the_causes_of_a_batch_are_those_of_its_elements(solution):
     assert causes.shape == (2,)
     assert causes.tolist() == [jax.tree.map(lambda v, i=i: v[i], batch).cause() for i in range(2)]
     assert causes[0] == ""
-    assert causes[1].startswith("largest violation: initial x[0], off by 1")
+    assert causes[1].startswith("largest violation: final position, off by 1")
     twice = jax.tree.map(lambda v: np.stack([v] * 3), batch)
     assert twice.cause().shape == (3, 2)
 
