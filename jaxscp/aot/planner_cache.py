@@ -7,10 +7,13 @@ import dataclasses
 import functools
 import hashlib
 import json
+import logging
 import os
 import pathlib
+import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import jax
@@ -22,6 +25,7 @@ from jaxscp.aot.recent import Recent
 from jaxscp.backends.xla import compiler_options, is_traced
 
 PACKAGE = __name__.partition(".")[0]
+LOG = logging.getLogger(PACKAGE)
 CODE = (".py", ".so", ".h", ".cu", ".cuh")
 MOST = 16  # compiled planners of a process, the last ones called: each holds a thousand memory mappings
 CONFIGURATION = ("jax_enable_x64", "jax_default_matmul_precision", "jax_debug_nans", "jax_disable_jit")
@@ -100,9 +104,19 @@ def _made(folder: pathlib.Path | None, maker: Maker, tree: Any, shapes: tuple) -
     make_room()
     like = jax.tree.unflatten(tree, shapes)
     file = folder and _file(folder, maker.planner, like)
-    if file is None:
-        return compiled(maker.trace(like))
-    return _from_file(file, maker) or _into_file(file, maker, like)
+    if file is not None and (known := _from_file(file, maker)) is not None:
+        return known
+    with _logged():
+        return compiled(maker.trace(like)) if file is None else _into_file(file, maker, like)
+
+
+@contextmanager
+def _logged() -> Iterator[None]:
+    """Log that something compiles: the call is silent meanwhile."""
+    began = time.perf_counter()
+    LOG.info("compiling for this planner and these shapes, once: half a minute or so")
+    yield
+    LOG.info("compiled in %.1f s", time.perf_counter() - began)
 
 
 def _file(folder: pathlib.Path, planner: Any, like: Any) -> pathlib.Path | None:

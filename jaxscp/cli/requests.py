@@ -85,7 +85,7 @@ _CLEARANCE = typer.Option(
 )
 _SAVE = typer.Option(callback=writable, help="Write the trajectory (.npz).", metavar="FILE")
 _CSV = typer.Option(
-    callback=writable, help=f"Write {RATE} states and thrusts a second (.csv).", metavar="FILE"
+    callback=writable, help=f"Write {RATE} states and thrusts a second, and the end (.csv).", metavar="FILE"
 )
 _PLOT = typer.Option(callback=_picture, help="Write a picture (.png, .pdf).", metavar="FILE")
 # Named here: some versions of typer make a metavar the option's name where the two differ in case alone.

@@ -60,6 +60,17 @@ def triple(name: str, value: Any) -> Any:
     return array
 
 
+def is_number(value: Any) -> bool:
+    """Whether a known value is one real number: Python's, NumPy's, or an array without axes.
+
+    Example:
+        >>> from jaxscp.core.arrays import is_number
+        >>> is_number(2), is_number("2"), is_number([2.0])
+        (True, False, False)
+    """
+    return np.ndim(value) == 0 and np.asarray(value).dtype.kind in "iuf"
+
+
 def as_floats(value: Any) -> Any:
     """Plain numbers, NumPy arrays and lists as an array of floats; arrays of JAX, None and others stay as they are.
 

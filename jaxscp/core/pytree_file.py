@@ -16,11 +16,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxscp.core.arrays import PRECISION, double_precision
-from jaxscp.core.numpy_files import DAMAGED
+from jaxscp.core.numpy_files import DAMAGED, HEADER, why_unreadable
 from jaxscp.core.status import Status, status_codes, status_names
 
 FORMAT = 1
-HEADER = "header"
 _STATUS = type(Status.converged)
 
 
@@ -64,7 +63,9 @@ def read(file: str | os.PathLike, part: str, classes: Iterable[type]) -> Any:
     except _Damaged as error:
         raise ValueError(f"{file}: {error}") from error.__cause__
     except DAMAGED as error:
-        raise ValueError(f"{file}: not a file that save wrote, or damaged: {error}") from error
+        raise ValueError(
+            f"{file}: not a file that save wrote, or damaged: {why_unreadable(file, error)}"
+        ) from error
 
 
 class _Damaged(Exception):
@@ -73,8 +74,9 @@ class _Damaged(Exception):
 
 def _header(archive: Any) -> dict[str, Any]:
     if HEADER not in archive:
+        trajectory = "; a trajectory alone: jaxscp.Trajectory.load reads it" if "dilation" in archive else ""
         raise _Damaged(
-            f"not a file that save wrote: it has no {HEADER!r}, but {', '.join(archive) or 'nothing'}"
+            f"not a file that save wrote: it has no {HEADER!r}, but {', '.join(archive) or 'nothing'}{trajectory}"
         )
     header = json.loads(str(archive[HEADER]))
     if not isinstance(header, dict) or not isinstance(header.get("parts"), dict):

@@ -31,8 +31,8 @@ class Status(eqx.Enumeration):
         "its tolerances below what float64 gives."
     )
     iteration_limit = (
-        "The iteration limit came first. Allow more iterations, start from a better guess, or loosen "
-        "the tolerances."
+        "The iteration limit came first. Allow more iterations, start from a better guess, loosen the tolerances, or "
+        "give a problem of your own its typical sizes: scale=jaxscp.Scale(...)."
     )
     infeasible = (
         "The constraints of a convex subproblem contradict each other (a certificate was found). Likely causes: "
@@ -46,11 +46,13 @@ class Status(eqx.Enumeration):
     insufficient_progress = (
         "The steps became too small before the tolerances were met, or a convex subproblem could not be solved to its "
         "accuracy. Likely causes: constraints leave no room, as where start or goal lies on a face of the corridor "
-        "that the landing cone meets; or the problem is badly scaled."
+        "that the landing cone meets; the final time or the limits make the task impossible; or the problem is badly "
+        "scaled."
     )
     numerical_error = (
-        "A number that is not finite arose inside the solver. Check scales: SI units, and masses and times near "
-        "one."
+        "A number that is not finite arose inside the solver. In a problem of your own, call jaxscp.solve(problem, "
+        "guess, check=True): it names the function whose value or derivative is not finite at the guess. Else check "
+        "scales: SI units, and masses and times near one."
     )
     dynamics_unmet = (
         "No flight was found that obeys the dynamics and meets both ends: virtual control or an end residual remains. "
@@ -67,7 +69,8 @@ class Status(eqx.Enumeration):
     )
     invalid_input = (
         "The scenario is not valid: a value is not finite, or start, goal, corridor or limits contradict each other. "
-        "Call jaxscp.validate(scenario) outside jit and vmap for the field and the cause."
+        "Call jaxscp.validate(scenario) on this element, outside jit and vmap, for the field and the cause; of a "
+        "problem of your own, jaxscp.solve(problem, guess)."
     )
 
 

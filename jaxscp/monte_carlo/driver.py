@@ -48,7 +48,7 @@ def sweep(
         keep: which trajectories are stored: ``AllTrajectories()``, ``FailedTrajectories()`` or ``EveryNth(n)``.
         stop: rules that end it early: ``NarrowShare(width)``, ``NarrowMean(of, width)`` or ``Budget(seconds)``.
         progress: ``Bar()``, ``Lines()`` or ``JSONLines()``.
-        chunk: cases that are written together. A folder keeps its own.
+        chunk: cases that are written together; Ctrl-C loses the present ones. A folder keeps its own.
 
     Raises:
         InvalidStudy: if the study contradicts itself, or a rule needs independent cases.
@@ -91,10 +91,11 @@ def _run(asked: _Request) -> Sweep:
             run = _Run(_prepared(asked, opened), asked.stop, asked.progress, began)
             run.go(opened)
             run.end()
-    except KeyboardInterrupt:
-        count = stored_cases(store)
-        asked.progress.message(
-            f"ended: {count} of {study.count} cases are stored; the same sweep goes on from there"
+    except KeyboardInterrupt as error:
+        ended = f"ended: {stored_cases(store)} of {study.count} cases are stored; the same sweep goes on from there"
+        asked.progress.message(ended)
+        error.add_note(
+            f"{ended}. Chunks are stored whole: sweep(..., chunk=10) in a new folder stores sooner."
         )
         raise
     except OSError as error:

@@ -288,7 +288,8 @@ def differences(old: Any, new: Any, name: str = "") -> list[str]:
     elif isinstance(old, list) and isinstance(new, list) and len(old) == len(new):
         parts = [(f"{name}[{i}]", a, b) for i, (a, b) in enumerate(zip(old, new, strict=True))]
     else:
-        return [] if old == new else [f"{name}: stored {_short(old)}, now {_short(new)}"]
+        why = "jaxscp's own source changed: " if name == "versions.code" else ""
+        return [] if old == new else [f"{name}: {why}stored {_short(old)}, now {_short(new)}"]
     return [line for part, a, b in parts for line in differences(a, b, part)]
 
 

@@ -25,6 +25,16 @@ from jaxscp.problem.parts import check_parts
 from jaxscp.problem.problem import OptimalControlProblem
 
 _NUMBER = jax.ShapeDtypeStruct((), float)
+_CONCRETE = (
+    jax.errors.ConcretizationTypeError,
+    jax.errors.TracerArrayConversionError,
+    jax.errors.TracerIntegerConversionError,
+    jax.errors.NonConcreteBooleanIndexError,
+)
+_NOT_PURE = (
+    "it needs the values of its arguments, which JAX does not know yet. Call jnp, not np; in place of if, and, or, "
+    "call jnp.where; keep out float(...) and int(...). JAX says: "
+)
 
 
 def canonical(problem: OptimalControlProblem) -> OptimalControlProblem:
@@ -101,7 +111,7 @@ def _program(
         words = ", ".join(str(v.shape) for v in arguments)
         raise InvalidProblem(
             f"{field}: {name_of(function) or 'the function'} fails for arguments of shapes {words} and its parameters: "
-            f"{error}"
+            f"{_NOT_PURE if isinstance(error, _CONCRETE) else ''}{error}"
         ) from error
 
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-from jaxscp.core.arrays import namespace
+from jaxscp.core.arrays import is_number, namespace
 from jaxscp.core.errors import InvalidProblem
 from jaxscp.core.types import Scalar
 from jaxscp.problem.boundary import fixed_values
@@ -48,8 +48,11 @@ def straight_line(
     check_parts(problem)
     nodes = problem.time.nodes
     ends = [_end(problem, where) for where in ("initial", "final")]
-    if final_time is not None and _known(final_time) and not (np.isfinite(final_time) and final_time > 0.0):
-        raise InvalidProblem(f"final_time: must be positive and finite, got {final_time}.")
+    if final_time is not None and _known(final_time):
+        if not is_number(final_time):
+            raise InvalidProblem(f"final_time: expected one number, in s, got {final_time!r}.")
+        if not (np.isfinite(final_time) and final_time > 0.0):
+            raise InvalidProblem(f"final_time: must be positive and finite, got {final_time}.")
     pairs = [_both(first, last) for first, last in zip(*ends, strict=True)]
     xp = namespace(pairs)
     first, last = (xp.asarray(end, float) for end in zip(*pairs, strict=True))
@@ -95,7 +98,10 @@ def _duration(problem: OptimalControlProblem) -> Scalar:
 def _controls(problem: OptimalControlProblem, given: Any) -> jax.Array:
     """The given control; else zero, or the nearest value within the bounds, at every node."""
     size = problem.dynamics.control_size
-    control = jnp.zeros(size) if given is None else jnp.asarray(given, float)
+    try:
+        control = jnp.zeros(size) if given is None else jnp.asarray(given, float)
+    except (TypeError, ValueError) as error:
+        raise InvalidProblem(f"control: expected {size} numbers, got {given!r}.") from error
     if control.shape != (size,):
         raise InvalidProblem(f"control: expected {size} values, one for each control, got {control.shape}.")
     for constraint in problem.constraints if given is None else ():

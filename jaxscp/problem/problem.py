@@ -32,7 +32,7 @@ class OptimalControlProblem(eqx.Module):
         scale: typical sizes of all quantities; None is one for each.
         checks: constraints that the certificate alone judges: the solver does not know them.
         zero_order_hold: numbers of the controls that are constant over each interval, with their value at its first
-            node; the others are linear between nodes.
+            node; the others are linear in scaled time between nodes.
 
     Example:
         >>> import jaxscp

@@ -3,6 +3,7 @@
 import csv
 import os
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -17,6 +18,10 @@ from jaxscp.integration import tableaus
 from jaxscp.problem.node_values import interval_at
 
 STEPS = 20  # Runge-Kutta steps from a node: four times as many as the solver's, so 4096 times as accurate
+MOST_SAMPLES = 10_000_000  # gigabytes: a higher rate is a mistake
+# A final time is known to the solver's tolerance. So near to a multiple of 1 / rate, it takes that one's place.
+NEAR_END = 1e-6  # of the final time
+NEAR_STEP = 0.01  # of a step
 ROUNDING = 1e-9  # of the final time: a time so little outside counts as inside
 
 
@@ -174,6 +179,44 @@ def _sample(dynamics: Dynamics, pieces: Pieces, time: Scalar, steps: int):
     control = first + fraction * (last - first)
     found = state, control, dynamics(state, control, time)
     return jax.tree.map(lambda v: jnp.where(inside, v, jnp.nan), found)
+
+
+def sample_times(duration: float, rate: float, end: bool) -> np.ndarray:
+    """Times 0, 1 / rate, ..., and the duration itself, if asked for and not among them.
+
+    Raises:
+        ValueError: if the duration is not finite, or the samples are too many.
+    """
+    if not np.isfinite(duration):
+        raise ValueError(f"trajectory.time: ends at {duration}, so that nothing can be sampled")
+    if duration * rate > MOST_SAMPLES:
+        raise ValueError(
+            f"rate: {rate:g} Hz would make {duration * rate:.3g} samples; {MOST_SAMPLES:g} are allowed"
+        )
+    count = int(np.floor(duration * rate * (1.0 + ROUNDING))) + 1
+    times = np.minimum(np.arange(count) / rate, duration)
+    if not end:
+        return times
+    nearest = round(duration * rate) / rate
+    near = abs(duration - nearest) <= min(NEAR_END * duration, NEAR_STEP / rate)
+    before = times[: round(duration * rate)] if near else times
+    return np.append(before, duration)
+
+
+def check_inside(times: Any, nodes: np.ndarray) -> None:
+    """Raise for times that are no numbers, or not between the first node and the last."""
+    try:
+        numbers = np.ravel(np.asarray(times))
+    except ValueError:  # rows of several lengths
+        numbers = np.array([None])
+    if numbers.size and numbers.dtype.kind not in "iuf":
+        raise ValueError(f"times: numbers are expected, in s, got {times!r}")
+    rounding = ROUNDING * (nodes[-1] - nodes[0])
+    outside = numbers[~((numbers >= nodes[0] - rounding) & (numbers <= nodes[-1] + rounding))]
+    if outside.size and np.isfinite(nodes).all():
+        raise ValueError(
+            f"times: {outside[0]:g} s is outside the trajectory, from {nodes[0]:g} s to {nodes[-1]:g} s"
+        )
 
 
 def _names(kind: str, given: Sequence[str] | None, default: tuple[str, ...]) -> tuple[str, ...]:

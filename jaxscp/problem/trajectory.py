@@ -11,13 +11,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxscp.core.arrays import namespace
+from jaxscp.core.arrays import is_number, namespace
 from jaxscp.core.errors import InvalidProblem
-from jaxscp.core.numpy_files import DAMAGED
 from jaxscp.core.types import Controls, Nodes, Scalar, States
 from jaxscp.dynamics.base import Dynamics
+from jaxscp.problem import node_files
 from jaxscp.problem.node_values import interval_at, node_times
-from jaxscp.problem.samples import ROUNDING, STEPS, Pieces, Samples, samples_at
+from jaxscp.problem.samples import STEPS, Pieces, Samples, check_inside, sample_times, samples_at
 
 LEAST_PART = 0.1  # of scaled time
 
@@ -25,7 +25,9 @@ LEAST_PART = 0.1  # of scaled time
 class Trajectory(eqx.Module):
     """States and controls at the nodes; of a landing, in SI units.
 
-    Between nodes the controls and the dilation are linear in scaled time tau, k / (N - 1) at node k.
+    Between nodes the controls and the dilation are linear in scaled time tau, k / (N - 1) at node k, not in time.
+    The time is the integral of the dilation over tau, and dx/dtau is the dilation times the dynamics. ``at`` and
+    ``sample`` obey this; ``numpy.interp(t, time, control)`` is another control.
     """
 
     time: Nodes
@@ -98,7 +100,8 @@ class Trajectory(eqx.Module):
             Samples with axes (n, ...); for a landing ``FlightSamples``, with accelerations.
 
         Raises:
-            ValueError: if a time is outside; inside ``jit`` and ``vmap``, its values are NaN. Also without dynamics.
+            ValueError: if a time is outside; inside ``jit`` and ``vmap``, its values are NaN. Also without dynamics,
+                and for times that are no numbers.
 
         Example:
             >>> import jaxscp
@@ -108,29 +111,31 @@ class Trajectory(eqx.Module):
         """
         dynamics = self._known_dynamics()
         if namespace(times, self.time) is np:
-            _check_inside(np.asarray(times), np.asarray(self.time))
+            check_inside(times, np.asarray(self.time))
         times = jnp.asarray(times).astype(self.time.dtype)
         if times.ndim > 1:
             raise ValueError(f"times: one number or one axis is expected, got shape {times.shape}")
         first, last = self.interval_controls()
         return samples_at(dynamics, Pieces(self.time, self.dilation, self.state, first, last), times, steps)
 
-    def sample(self, *, rate: float | int, steps: int = STEPS) -> Samples:
-        """``at`` equal steps in time: 0, 1 / rate, ... up to the final time, which need not be one of them.
+    def sample(self, *, rate: float | int, end: bool = True, steps: int = STEPS) -> Samples:
+        """``at`` equal steps in time, 0, 1 / rate, ..., and at the final time: the last step may be shorter.
 
         Args:
             rate: samples a second, in Hz.
+            end: whether the final time is added where it is no multiple of 1 / rate; else the steps are all equal.
             steps: as in ``at``.
 
         Raises:
             TypeError: inside ``jit`` and ``vmap``, where the number of samples is not known.
-            ValueError: if the rate is not positive, for a batch, or without dynamics.
+            ValueError: if the rate is no positive number or far too high, for a batch, or without dynamics.
 
         Example:
             >>> import jaxscp
-            >>> drive = jaxscp.Trajectory.from_arrays([0.0, 2.0], [[0.0, 0.0], [2.0, 2.0]], [[1.0], [1.0]])
-            >>> drive.with_dynamics(jaxscp.DoubleIntegrator(1)).sample(rate=2.0).time.tolist()
-            [0.0, 0.5, 1.0, 1.5, 2.0]
+            >>> drive = jaxscp.Trajectory.from_arrays([0.0, 1.7], [[0.0, 0.0], [2.0, 2.0]], [[1.0], [1.0]])
+            >>> drive = drive.with_dynamics(jaxscp.DoubleIntegrator(1))
+            >>> drive.sample(rate=2.0).time.tolist(), drive.sample(rate=2.0, end=False).time.tolist()
+            ([0.0, 0.5, 1.0, 1.5, 1.7], [0.0, 0.5, 1.0, 1.5])
         """
         self._known_dynamics()
         if namespace(self.time, rate) is jnp:
@@ -138,13 +143,9 @@ class Trajectory(eqx.Module):
                 "trajectory.sample: the number of samples follows from the final time, which is not known inside jit "
                 "and vmap. Call trajectory.at(times), with as many times as you choose."
             )
-        if not np.isfinite(rate) or rate <= 0.0:
-            raise ValueError(f"rate: a positive number of samples a second is expected, got {rate}")
-        duration = float(np.asarray(self.time)[-1])
-        if not np.isfinite(duration):
-            raise ValueError(f"trajectory.time: ends at {duration}, so that nothing can be sampled")
-        count = int(np.floor(duration * rate * (1.0 + ROUNDING))) + 1
-        return self.at(np.minimum(np.arange(count) / rate, duration), steps=steps)
+        if not is_number(rate) or not np.isfinite(rate) or rate <= 0.0:
+            raise ValueError(f"rate: a positive number of samples a second is expected, got {rate!r}")
+        return self.at(sample_times(float(np.asarray(self.time)[-1]), float(rate), end), steps=steps)
 
     def _known_dynamics(self) -> Dynamics:
         """The dynamics of one trajectory."""
@@ -246,47 +247,23 @@ class Trajectory(eqx.Module):
         return Trajectory(*path, jnp.asarray(dilation))
 
     def save(self, file: str | os.PathLike) -> None:
-        """Write an .npz with ``time``, ``state``, ``control`` and ``dilation``, in SI units."""
-        arrays = {name: np.asarray(getattr(self, name)) for name in ("time", "state", "control", "dilation")}
-        if self.zero_order_hold:
-            arrays["zero_order_hold"] = np.array(self.zero_order_hold)
-        with open(file, "wb") as stream:
-            np.savez(stream, allow_pickle=False, **arrays)
+        """Write an .npz with ``time``, ``state``, ``control`` and ``dilation``, in SI units.
+
+        The file has the name that you give: no suffix is added.
+        """
+        arrays = {name: np.asarray(getattr(self, name)) for name in node_files.FIELDS}
+        node_files.write(file, arrays, self.zero_order_hold)
 
     @staticmethod
     def load(file: str | os.PathLike) -> Trajectory:
-        """Read what ``save`` wrote.
+        """Read what ``save`` wrote. A table of ``Samples.to_csv`` cannot be loaded: it lacks the mesh.
 
         Raises:
             ValueError: if the file is not such an archive or its shapes disagree; the message names the field.
         """
-        names = ("time", "state", "control", "dilation")
-        try:
-            # Opened here: NumPy leaves the file open where it is no archive.
-            with open(file, "rb") as stream, np.load(stream) as archive:
-                missing = [name for name in names if name not in archive]
-                arrays = {name: archive[name] for name in names if name not in missing}
-                hold = tuple(archive["zero_order_hold"].tolist()) if "zero_order_hold" in archive else ()
-        except DAMAGED as error:
-            raise ValueError(f"{file}: not a trajectory archive (.npz): {error}") from error
-        if missing:
-            raise ValueError(f"{file}: missing field(s) {', '.join(missing)}")
-        nodes = arrays["time"].shape[0]
-        for name, array in arrays.items():
-            if array.shape[0] != nodes:
-                raise ValueError(f"{file}: field {name!r} has {array.shape[0]} nodes, but 'time' has {nodes}")
-        time, state, control, dilation = (jnp.asarray(arrays[name]) for name in names)
+        arrays, hold = node_files.read(file)
+        time, state, control, dilation = (jnp.asarray(arrays[name]) for name in node_files.FIELDS)
         return Trajectory(time, state, control, dilation, hold)
-
-
-def _check_inside(times: np.ndarray, nodes: np.ndarray) -> None:
-    """Raise for a time that is not between the first node and the last."""
-    rounding = ROUNDING * (nodes[-1] - nodes[0])
-    outside = np.ravel(times)[~((times >= nodes[0] - rounding) & (times <= nodes[-1] + rounding)).ravel()]
-    if outside.size and np.isfinite(nodes).all():
-        raise ValueError(
-            f"times: {outside[0]:g} s is outside the trajectory, from {nodes[0]:g} s to {nodes[-1]:g} s"
-        )
 
 
 def _numbers(values: Any, name: str) -> np.ndarray:

@@ -40,6 +40,11 @@ class Many(NamedTuple):
             value = getattr(self, name)
             if value is not None and (not isinstance(value, int | np.integer) or value < 1):
                 raise ValueError(f"{name}: expected a whole number, 1 or more, or None; got {value!r}.")
+        good = isinstance(self.devices, tuple) and all(isinstance(one, jax.Device) for one in self.devices)
+        if not good:
+            raise ValueError(
+                f"devices: expected a tuple of JAX's devices, tuple(jax.devices()) say; got {self.devices!r}."
+            )
         if self.devices and self._size() % len(self.devices):
             raise ValueError(
                 f"batch_size: must be a multiple of the number of devices, {len(self.devices)}; got {self._size()}."
@@ -87,8 +92,12 @@ def solve_many(
 
     Raises:
         InvalidScenario: if a shape is wrong; the message names the field.
+        ValueError: if another argument is wrong.
     """
     how.check()
+    for name, function in (("keep", keep), ("progress", progress)):
+        if function is not None and not callable(function):
+            raise ValueError(f"{name}: expected a function or None, got {function!r}.")
     inputs = _inputs(pipeline, scenarios)
     axis = how.axis()
     program = pipeline.program(inputs.like, axis, how.devices)

@@ -187,12 +187,11 @@ class Planner(eqx.Module):
         """
         return self.pipeline.nodes_for(scenario)
 
-    @property
-    def pipeline(self) -> Pipeline:
-        """Its programs.
+    def __check_init__(self):
+        """See Equinox; called after construction.
 
         Raises:
-            InvalidScenario: if a field of the planner is of another class.
+            InvalidScenario: if a field is of another class.
         """
         for field, least in (("nodes", 2), ("samples", 2)):
             if field == "nodes" and self.nodes is None:
@@ -200,5 +199,11 @@ class Planner(eqx.Module):
             if not isinstance(value := getattr(self, field), int | np.integer) or value < least:
                 raise InvalidScenario(f"{field}: expected a whole number, {least} or more, got {value!r}.")
         if isinstance(self.method, type) or not isinstance(self.method, Method):
-            raise InvalidScenario(f"method: expected NewtonSCP() or PTR(), say, got {self.method!r}.")
+            hint = " Planner.paper() is the paper's." if self.method == "paper" else ""
+            raise InvalidScenario(f"method: expected NewtonSCP() or PTR(), say, got {self.method!r}.{hint}")
+
+    @property
+    def pipeline(self) -> Pipeline:
+        """Its programs."""
+        self.__check_init__()  # a transformation may have changed a field
         return Pipeline(self.nodes, self.method, self.samples)

@@ -61,6 +61,8 @@ class Solution(eqx.Module):
     def save(self, file: str | os.PathLike, scenario: Any = None) -> None:
         """Write all of the solution to an .npz, and its scenario, for ``Solution.load``. No code is stored.
 
+        The file has the name that you give: no suffix is added.
+
         Functions of yours cannot be stored: the problem of ``jaxscp.solve`` is not in the file, and dynamics of yours
         are left out of the trajectory.
 
@@ -150,12 +152,17 @@ class Solution(eqx.Module):
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         return "\n".join("  ".join(c.rjust(w) for c, w in zip(row, widths, strict=True)) for row in rows)
 
-    def cause(self) -> str:
+    def cause(self) -> Any:
         """What holds a plan up that did not converge: the worst row of its certificate, and the largest multiplier.
 
-        Empty for a converged plan, and for one without numbers. For one solution, not a batch.
+        For a problem without a scale, also sizes that differ much. Empty for a converged plan, and for one without
+        numbers. Of a batch, an array of texts, one an element.
         """
-        if bool(self.status == Status.converged) or not np.isfinite(float(self.cost)):
+        if shape := np.shape(self.cost):
+            host = jax.tree.map(np.asarray, self)
+            elements = (jax.tree.map(lambda v, i=i: v[i], host) for i in np.ndindex(shape))
+            return np.array([element.cause() for element in elements], str).reshape(shape)
+        if status_names(self.status) == "converged" or not np.isfinite(float(self.cost)):
             return ""
         claims_optimum = self.certificate.optimality is not None  # and else nothing between the nodes
         row, found = self.certificate.largest_row(claims_optimum), []
@@ -167,15 +174,36 @@ class Solution(eqx.Module):
             sizes = [float(np.max(np.abs(y), initial=0.0)) for y in self.multipliers.values]
             if len(names) == len(sizes) and max(sizes) > 0.0:
                 found.append(f"largest multiplier: {names[int(np.argmax(sizes))]}")
-        return "; ".join(found)
+        return "; ".join([*found, *self._scaling()])
+
+    def _scaling(self) -> list[str]:
+        """The advice to state a scale, where a problem has none and the sizes of its variables differ much."""
+        path, states = self.trajectory, self.trajectory.state.shape[1]
+        scaled = not np.array_equal(self.z[:, :states], path.state)
+        if scaled or self.context is not None:  # a landing has its own scale
+            return []
+        values = {f"x[{i}]": v for i, v in enumerate(np.asarray(path.state).T)}
+        values |= {f"u[{i}]": v for i, v in enumerate(np.asarray(path.control).T)}
+        sizes = {name: float(np.max(np.abs(v))) for name, v in values.items()}
+        sizes = {name: size for name, size in sizes.items() if size > _NOTHING}
+        if not sizes or max(sizes.values()) <= _SIZES_DIFFER * min(sizes.values()):
+            return []
+        least, most = min(sizes, key=sizes.__getitem__), max(sizes, key=sizes.__getitem__)
+        return [
+            f"sizes differ much ({most} up to {sizes[most]:.3g}, {least} up to {sizes[least]:.3g}): give the problem "
+            "typical sizes, scale=jaxscp.Scale(state=..., control=..., time=...)"
+        ]
 
     def report(self) -> str:
         """Status, its likely cause, cost, times, backends and certificate; of a batch, the counts of each status."""
         names = status_names(self.status)
         if isinstance(names, str):
+            text = Status[getattr(Status, names)]  # by name: JAX does not know a status of NumPy
+            if names == "invalid_input":
+                return f"{names}: no plan was made\n{text}"
             lines = [
                 f"{names}: cost {float(self.cost):.6g}, final time {float(self.final_time):.6g}",
-                Status[self.status],
+                text,
                 *([cause] if (cause := self.cause()) else []),
                 *(["planned anew: no plan was found from the earlier one"] if bool(self.fell_back) else []),
                 *([_NEAR_OPTIMUM] if self._is_near_optimum() else []),
@@ -187,7 +215,7 @@ class Solution(eqx.Module):
             return "\n".join(lines)
         found, counts = np.unique(names, return_counts=True)
         lines = [
-            f"{count} {name}: {Status[getattr(Status, name)]}"
+            f"{count} {name}{_elements(names, name)}: {Status[getattr(Status, name)]}"
             for name, count in zip(found, counts, strict=True)
         ]
         return "\n".join(
@@ -196,7 +224,7 @@ class Solution(eqx.Module):
 
     def _is_near_optimum(self) -> bool:
         """Whether it converged to the method's tolerances alone, though the method looks for an optimum."""
-        converged = bool(self.status == Status.converged)
+        converged = status_names(self.status) == "converged"
         return converged and self.certificate.optimality is not None and not bool(self.differentiable)
 
     def __str__(self) -> str:
@@ -216,9 +244,22 @@ class Solution(eqx.Module):
 CLASSES = Solution, Trajectory, Multipliers, Certificate, History, Backends, *DYNAMICS
 """Classes of a solution's pytree: files name them."""
 
+_NOTHING = 1e-3  # size of a variable that counts as none: it may be what rounding leaves of zero
+_SIZES_DIFFER = 1e3
+_LISTED = 3  # elements that a report names
+
 _NEAR_OPTIMUM = "near an optimum, within the tolerances, but not at it to rounding: there are no derivatives"
 
 _HEADINGS = "iteration", "cost", "final time", "|nu|", "|dz|", "defect", "Newton steps"
+
+
+def _elements(names: np.ndarray, name: str) -> str:
+    """The first elements of a batch that have a status, in words; empty for converged ones."""
+    where = [", ".join(map(str, index)) for index in np.argwhere(names == name)]
+    numbers = ("; " if names.ndim > 1 else ", ").join(where[:_LISTED]) + (
+        ", ..." if len(where) > _LISTED else ""
+    )
+    return "" if name == "converged" else f" (element{'s' if len(where) > 1 else ''} {numbers})"
 
 
 def _is_filled(solution: Solution) -> bool:

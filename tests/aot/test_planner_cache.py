@@ -1,6 +1,7 @@
 """The key of the planner cache: a change of any file of the package makes another key."""
 
 import inspect
+import logging
 import shutil
 
 import pytest
@@ -49,6 +50,12 @@ def test_a_new_library_or_a_kernels_text_changes_the_key(copy, name):
 
 def test_the_key_is_of_the_whole_package():
     assert inspect.signature(planner_cache.code_digest).parameters["root"].default == ROOT
+
+
+def test_a_compilation_is_logged(caplog):
+    with caplog.at_level(logging.INFO, logger="jaxscp"), planner_cache._logged():
+        assert caplog.messages == ["compiling for this planner and these shapes, once: half a minute or so"]
+    assert caplog.messages[1].startswith("compiled in 0.0 s")
 
 
 @pytest.mark.parametrize("target", COMPILED)

@@ -133,8 +133,10 @@ def test_a_finished_sweep_runs_nothing_again(tmp_path, counted):
 
 def test_ctrl_c_says_how_to_go_on_and_nothing_is_repeated(tmp_path, capsys, counted):
     planned = counted(50, 37, KeyboardInterrupt)
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(KeyboardInterrupt) as caught:
         mc.sweep(planned, tmp_path / "s", chunk=10, progress=mc.Lines())
+    assert "30 of 50 cases are stored; the same sweep goes on" in caught.value.__notes__[0]
+    assert "chunk=10" in caught.value.__notes__[0]
     assert "30 of 50 cases are stored; the same sweep goes on from there" in capsys.readouterr().err
     np.testing.assert_array_equal(mc.open_sweep(tmp_path / "s").numbers, np.arange(30))
     before = Counted.calls
@@ -190,7 +192,9 @@ def test_another_study_is_refused_and_differences_named(copy):
 
 def test_another_version_of_the_code_is_refused(copy, monkeypatch):
     monkeypatch.setattr("jaxscp.monte_carlo.study.code_digest", lambda: "0" * 64)
-    with pytest.raises(mc.SweepError, match=r"versions.code: stored '\w+', now '0+'"):
+    with pytest.raises(
+        mc.SweepError, match=r"versions.code: jaxscp's own source changed: stored '\w+', now '0+'"
+    ):
         again(copy)
 
 

@@ -298,6 +298,56 @@ WRONG = {
         GUESS,
         r"time\.final: expected an instance of FreeTime or FixedTime, got a float",
     ),
+    "a function for dynamics": (
+        lambda: problem(dynamics=lambda x, u, t, p: x),
+        GUESS,
+        r"dynamics: expected an instance of Dynamics, got a function\. Dynamics\.of\(function",
+    ),
+    "a function for a cost": (
+        lambda: problem(cost=lambda x, t, p: t),
+        GUESS,
+        r"cost: expected an instance of Cost, got a function\. Cost\(running=\.\.\.\) or Cost\(terminal=",
+    ),
+    "a pair for a boundary": (
+        lambda: problem(boundary=([0.0, 0.0], [1.0, 0.0])),
+        GUESS,
+        r"boundary: expected an instance of Boundary, got a tuple\. Boundary\(fixed_state",
+    ),
+    "a list for an end": (
+        lambda: problem(boundary=js.Boundary([0.0, 0.0], REST)),
+        GUESS,
+        r"boundary\.initial: expected an instance of EndCondition, got a list\. fixed_state",
+    ),
+    "an end for coupled ends": (
+        lambda: problem(boundary=js.Boundary(REST, REST, coupled=REST)),
+        GUESS,
+        r"boundary\.coupled: expected an instance of CoupledEnds or None",
+    ),
+    "a number for a time": (
+        lambda: problem(time=2.0),
+        GUESS,
+        r"time: expected an instance of Time, got a float\. Time\(nodes=30, final=FixedTime",
+    ),
+    "a number for a scale": (
+        lambda: problem(scale=10.0),
+        GUESS,
+        r"scale: expected an instance of Scale or None, got a float\. Scale\(state=",
+    ),
+    "a fraction for a control's number": (
+        lambda: problem(zero_order_hold=(0.5,)),
+        GUESS,
+        r"zero_order_hold: expected a whole number, 0 or more, got 0\.5",
+    ),
+    "an array of NumPy in the dynamics": (
+        lambda: problem(dynamics=js.Dynamics.of(lambda x, u, t, p: np.array([x[1], u[0]]), 2, 1)),
+        GUESS,
+        r"dynamics: .*Call jnp, not np; in place of if, and, or, call jnp\.where",
+    ),
+    "a choice in the dynamics": (
+        lambda: problem(dynamics=js.Dynamics.of(lambda x, u, t, p: x if x[0] > 0.0 else -x, 2, 1)),
+        GUESS,
+        r"dynamics: .*call jnp\.where",
+    ),
     "a scale of another size": (
         lambda: problem(scale=js.Scale(state=[1.0], control=[1.0], time=1.0)),
         GUESS,
@@ -327,6 +377,20 @@ def test_wrong_request(wrong):
 def test_a_method_that_is_none(method):
     with pytest.raises(js.InvalidProblem, match="method: expected an instance of Method, got"):
         js.solve(problem(), GUESS, method)
+
+
+@pytest.mark.parametrize(("field", "value"), [("time", 2.0), ("boundary", ([0.0], [1.0])), ("cost", None)])
+def test_a_straight_line_names_a_part_of_another_class(field, value):
+    with pytest.raises(js.InvalidProblem, match=f"^{field}: expected an instance of"):
+        js.straight_line(problem(**{field: value}))
+
+
+@pytest.mark.parametrize(
+    ("argument", "value"), [("final_time", "2"), ("final_time", [2.0]), ("control", "hover"), ("control", {})]
+)
+def test_a_straight_line_names_an_argument_that_is_no_number(argument, value):
+    with pytest.raises(js.InvalidProblem, match=f"^{argument}: expected"):
+        js.straight_line(problem(), **{argument: value})
 
 
 def test_straight_line_needs_ends_that_are_given():

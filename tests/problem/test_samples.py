@@ -5,6 +5,7 @@ import dataclasses
 
 import jax
 import jax.numpy as jnp
+import jaxtyping
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -173,9 +174,39 @@ def drive(duration=2.0):
 
 @pytest.mark.parametrize(("duration", "rate", "count"), [(2.0, 10, 21), (2.3, 100, 231), (2.05, 10, 21)])
 def test_samples_are_equally_spaced_from_the_start(duration, rate, count):
-    samples = drive(duration).sample(rate=rate)
+    samples = drive(duration).sample(rate=rate, end=False)
     np.testing.assert_allclose(samples.time, np.arange(count) / rate, rtol=0, atol=ROUNDING)
     np.testing.assert_allclose(samples.state[:, 0], 0.5 * samples.time**2, rtol=0, atol=ROUNDING)
+
+
+@pytest.mark.parametrize(
+    ("duration", "count"), [(3.311, 333), (9.99999963, 1001), (2.0000002, 201), (2.3, 231), (0.001, 2)]
+)
+def test_the_last_sample_is_the_end(duration, count, tmp_path):
+    path = drive(duration)
+    samples = path.sample(rate=100)
+    assert len(samples.time) == count
+    assert float(samples.time[-1]) == duration
+    np.testing.assert_allclose(samples.state[-1], path.state[-1], rtol=0, atol=ROUNDING)
+    samples.to_csv(tmp_path / "drive.csv")
+    assert table(tmp_path / "drive.csv")[1][-1, 0] == duration
+
+
+def test_an_integral_over_scaled_time_reaches_the_end(swing):
+    """As a user integrates: controls and dilation are linear in scaled time, on a mesh that is far from even."""
+    tau = np.linspace(0.0, 1.0, NODES)
+    at = lambda values, s: np.array([np.interp(s, tau, column) for column in np.atleast_2d(values.T)])  # noqa: E731
+    linear = js.Trajectory(swing.time, swing.state, swing.control, swing.dilation, (), PENDULUM)
+    slope = jax.jit(lambda x, u, t: PENDULUM(x, u, t))
+
+    def rate(s, y):  # the last entry is the time
+        grows = slope(y[:-1], at(np.asarray(linear.control), s), y[-1])
+        return at(np.asarray(linear.dilation), s)[0] * np.append(grows, 1.0)
+
+    y = np.append(linear.state[-2], linear.time[-2])
+    found = solve_ivp(rate, tau[-2:], y, method="DOP853", rtol=1e-11, atol=1e-11).y[:, -1]
+    np.testing.assert_allclose(found[:-1], linear.at(linear.time[-1]).state, rtol=0, atol=INTEGRATION)
+    np.testing.assert_allclose(found[-1], linear.time[-1], rtol=0, atol=INTEGRATION)
 
 
 def test_a_time_outside_is_an_error_and_nan_inside_jit():
@@ -196,8 +227,23 @@ def test_what_cannot_be_sampled_says_why():
         path.with_dynamics(None).sample(rate=10.0)
     with pytest.raises(ValueError, match=r"rate: a positive number"):
         path.sample(rate=0.0)
+    with pytest.raises(ValueError, match=r"rate: 1e\+12 Hz would make 2e\+12 samples"):
+        path.sample(rate=1e12)
     with pytest.raises(ValueError, match=r"times: one number or one axis"):
         path.at([[1.0]])
+
+
+def test_what_is_no_number_is_named():
+    path = drive()
+    jaxtyping.config.update("jaxtyping_disable", True)  # the library's own checks are tested
+    try:
+        with pytest.raises(ValueError, match=r"rate: a positive number.*got '100'"):
+            path.sample(rate="100")  # pyright: ignore[reportArgumentType]
+        for times in ("a", None, [[1.0], [1.0, 2.0]]):
+            with pytest.raises(ValueError, match=r"times: numbers are expected, in s, got"):
+                path.at(times)
+    finally:
+        jaxtyping.config.update("jaxtyping_disable", False)
 
 
 # --- tables ---

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxscp import Trajectory
+from jaxscp import Solution, Trajectory
+from jaxscp.core import pytree_file
 from jaxscp.problem.node_values import node_times
 
 NODES = 7
@@ -141,3 +142,25 @@ def test_a_file_that_is_no_archive_is_named(tmp_path, content):
 def test_a_file_that_is_not_there_says_so(tmp_path):
     with pytest.raises(FileNotFoundError):
         Trajectory.load(tmp_path / "nowhere.npz")
+
+
+def test_a_table_says_what_to_load(tmp_path):
+    (tmp_path / "plan.csv").write_text("time [s],x [m]\n0.0,1.0\n")
+    for load in (Trajectory.load, Solution.load):
+        with pytest.raises(
+            ValueError, match=r"plan\.csv: .*a table of samples.*Trajectory\.from_arrays"
+        ) as caught:
+            load(tmp_path / "plan.csv")
+        assert "pickle" not in str(caught.value)
+    (tmp_path / "noise.npz").write_text("time [s],x [m]\n0.0,1.0\n")
+    with pytest.raises(ValueError, match=r"noise\.npz: .*it is no \.npz"):
+        Trajectory.load(tmp_path / "noise.npz")
+
+
+def test_a_file_of_another_class_names_the_function_that_reads_it(tmp_path):
+    example().save(tmp_path / "plan.npz")
+    with pytest.raises(ValueError, match=r"a trajectory alone: jaxscp\.Trajectory\.load reads it"):
+        Solution.load(tmp_path / "plan.npz")
+    pytree_file.write(tmp_path / "solution.npz", {"solution": example()})
+    with pytest.raises(ValueError, match=r"jaxscp\.Solution\.load\(file\)\.trajectory"):
+        Trajectory.load(tmp_path / "solution.npz")

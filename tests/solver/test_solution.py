@@ -70,9 +70,50 @@ def test_the_text_of_a_batch_counts_statuses(solution):
     text = str(eqx.tree_at(lambda s: s.status, batch, status))
     assert "3 solutions" in text
     assert "2 converged" in text
-    assert "1 infeasible: The constraints of a convex subproblem" in text
+    assert "1 infeasible (element 1): The constraints of a convex subproblem" in text
     with pytest.raises(ValueError, match="a batch has no table"):
         batch.iteration_table()
+
+
+def with_statuses(solution, *statuses):
+    """A batch of elements that are alike, on the host, as ``Planner.map`` returns it."""
+    found = [eqx.tree_at(lambda s: s.status, solution, status) for status in statuses]
+    return jax.device_get(jax.tree.map(lambda *v: jnp.stack(v), *found))
+
+
+def test_an_invalid_element_says_how_to_learn_why(solution):
+    batch = with_statuses(solution, js.Status.converged, js.Status.invalid_input)
+    text = jax.tree.map(lambda v: v[1], batch).report()
+    assert text.startswith("invalid_input: no plan was made")
+    assert "jaxscp.validate(scenario)" in text
+    assert "nan" not in text
+    assert "1 invalid_input (element 1): The scenario is not valid" in batch.report()
+    assert jax.tree.map(lambda v: v[0], batch).report().startswith("converged: cost")
+
+
+def test_the_causes_of_a_batch_are_those_of_its_elements(solution):
+    off = eqx.tree_at(lambda s: s.certificate.end_errors, solution, solution.certificate.end_errors + 1.0)
+    batch = with_statuses(off, js.Status.converged, js.Status.iteration_limit)
+    causes = batch.cause()
+    assert causes.shape == (2,)
+    assert causes.tolist() == [jax.tree.map(lambda v, i=i: v[i], batch).cause() for i in range(2)]
+    assert causes[0] == ""
+    assert causes[1].startswith("largest violation: final position, off by 1")
+    twice = jax.tree.map(lambda v: np.stack([v] * 3), batch)
+    assert twice.cause().shape == (3, 2)
+
+
+def test_sizes_that_differ_much_ask_for_a_scale(solution):
+    """The thrust of a rocket beside its gimbal's angle: a problem with a scale has other node variables."""
+    rocket = eqx.tree_at(
+        lambda s: (s.trajectory.control, s.status),
+        solution,
+        (2e4 * jnp.ones_like(solution.trajectory.control), js.Status.iteration_limit),
+    )
+    assert "sizes differ much (u[0] up to 2e+04, x[1] up to" in rocket.cause()
+    assert "scale=jaxscp.Scale(state=" in rocket.cause()
+    assert "scale=" not in eqx.tree_at(lambda s: s.z, rocket, 2.0 * rocket.z).cause()
+    assert "scale=" not in eqx.tree_at(lambda s: s.status, solution, js.Status.iteration_limit).cause()
 
 
 def test_its_text_under_a_transformation_is_its_structure(solution):
