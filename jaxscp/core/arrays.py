@@ -36,6 +36,40 @@ def floats(value: Any) -> jax.Array:
     return jnp.asarray(namespace(value).asarray(value, float))
 
 
+def numbers(name: str, value: Any, expected: str = "numbers") -> Any:
+    """Numbers as an array of floats, traced or of NumPy. Text is refused, also where it spells a number.
+
+    Args:
+        name: of the numbers, for the message.
+        value: a number, an array, or nested lists.
+        expected: what is wanted, for the message.
+
+    Raises:
+        ValueError: these are no numbers.
+
+    Example:
+        >>> from jaxscp.core.arrays import numbers
+        >>> float(numbers("mass", 1))
+        1.0
+        >>> numbers("mass", "0.25")
+        Traceback (most recent call last):
+        ...
+        ValueError: mass: expected numbers, got '0.25'
+    """
+    xp = namespace(value)
+    try:
+        if value is None or _is_text(value):
+            raise TypeError("no numbers")
+        return xp.asarray(value, float)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name}: expected {expected}, got {value!r}") from error
+
+
+def _is_text(value: Any) -> bool:
+    """Whether NumPy would read numbers out of strings."""
+    return namespace(value) is np and np.asarray(value).dtype.kind in "US"
+
+
 def triple(name: str, value: Any) -> Any:
     """Three numbers as an array of floats, traced or of NumPy.
 
@@ -51,10 +85,7 @@ def triple(name: str, value: Any) -> Any:
         >>> triple("position", [0, 1, 2]).tolist()
         [0.0, 1.0, 2.0]
     """
-    try:
-        array = namespace(value).asarray(value, float)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{name}: expected three numbers, got {value!r}") from error
+    array = numbers(name, value, "three numbers")
     if array.shape != (3,):
         raise ValueError(f"{name}: expected three numbers, got shape {array.shape}")
     return array
@@ -72,7 +103,7 @@ def is_number(value: Any) -> bool:
 
 
 def as_floats(value: Any) -> Any:
-    """Plain numbers, NumPy arrays and lists as an array of floats; arrays of JAX, None and others stay as they are.
+    """Plain numbers, NumPy arrays and lists as an array of floats; arrays of JAX, None, text and others stay.
 
     Example:
         >>> import numpy as np
@@ -83,7 +114,7 @@ def as_floats(value: Any) -> Any:
     plain = isinstance(value, (int, float, np.number, np.ndarray, list, tuple)) and not isinstance(
         value, bool
     )
-    return floats(value) if plain else value
+    return floats(value) if plain and not _is_text(value) else value
 
 
 UNIT = 1e-12  # difference of a squared length from one below which a vector counts as a unit vector

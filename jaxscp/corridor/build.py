@@ -118,6 +118,7 @@ class CorridorOptions(eqx.Module):
         for name in ("lower", "upper"):
             if getattr(self, name) is not None:
                 _point(name, getattr(self, name))
+        _distance("clearance", self.clearance)
 
     def limits(self, cloud: PointCloud, start: np.ndarray, goal: np.ndarray, radius: float) -> Limits | None:
         """Volume for the vehicle's centre: as asked for, else the map's box; None in free space without limits."""
@@ -137,7 +138,7 @@ def build_corridor(
     No polytope comes nearer than ``radius`` to a point of the cloud. Steps, limits, decks: ``jaxscp.corridor.build``.
 
     Args:
-        cloud: obstacles, or their positions as an array, (points, 3), metres; an empty one is free space.
+        cloud: obstacles, or their positions, (points, 3), metres; an empty array is free space, with a warning.
         start: (3,) metres.
         goal: (3,) metres.
         radius: safety radius of the vehicle, metres.
@@ -159,7 +160,7 @@ def build_corridor(
         (True, True, True)
     """
     settings, cloud = CorridorOptions(**options), PointCloud.at(cloud)
-    first, last = _point("start", start), _point("goal", goal)
+    first, last, radius = _point("start", start), _point("goal", goal), _distance("radius", radius)
     ready = precompile(settings.method, cloud.count)
     report = _accepted(map_report(cloud, first, last, radius, lower=settings.lower, upper=settings.upper))
     limits = settings.limits(cloud, first, last, radius)
@@ -215,10 +216,19 @@ def _prepared(
 
 
 def _point(name: str, value: Triple) -> Float[np.ndarray, "3"]:
-    point = np.asarray(value, float)
+    try:
+        point = np.asarray(value, float)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} must be three coordinates in metres, (3,), got {value!r}") from None
     if point.shape != (3,):
         raise ValueError(f"{name} must be three coordinates in metres, got shape {point.shape}")
     return point
+
+
+def _distance(name: str, value: Any) -> float:
+    if isinstance(value, str) or np.ndim(value):
+        raise ValueError(f"{name} must be one number in metres, got {value!r}")
+    return value
 
 
 def _cells(

@@ -74,7 +74,13 @@ class PointCloud(eqx.Module):
             >>> PointCloud.of([[1000.0, 0.0, -2000.0]], unit="mm", frame="frd").points.tolist()
             [[1.0, 0.0, 2.0]]
         """
-        array = np.asarray(points, float)
+        try:
+            array = np.asarray(points, float)
+        except (TypeError, ValueError):
+            hint = "; read_cloud reads a file" if isinstance(points, str) else ""
+            raise ValueError(
+                f"{source}: expected an array of shape (points, 3), got {points!r:.80}{hint}"
+            ) from None
         if array.size == 0:
             array = array.reshape(0, 3)
         if array.ndim != 2 or array.shape[1] != 3:

@@ -85,11 +85,11 @@ class MapReport(eqx.Module):
         return "\n".join(lines)
 
 
-def _empty(cloud: PointCloud) -> tuple[str, ...]:
-    """Why a cloud without points is refused; an empty array is free space."""
-    if cloud.dropped:
-        return (f"none of its {cloud.dropped} points is finite, so that no obstacle is known",)
-    return () if cloud.file is None else ("the file holds no point, so that no obstacle is known",)
+def _empty(cloud: PointCloud) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Warnings and refusals of a cloud without points; an empty array is free space."""
+    what = f"none of its {cloud.dropped} points is finite" if cloud.dropped else "it holds no point"
+    words = (f"{what}, so that no obstacle is known",)
+    return ((), words) if cloud.dropped or cloud.file is not None else (words, ())
 
 
 def map_report(
@@ -123,8 +123,8 @@ def map_report(
     cloud = PointCloud.at(cloud)
     source = cloud.file or "array"
     if cloud.count == 0:
-        nowhere = np.zeros(3), np.zeros(3), float("inf")
-        return MapReport(source, 0, cloud.dropped, 0, *nowhere, radius, refused=_empty(cloud))
+        nowhere = np.zeros(3), np.zeros(3), np.inf
+        return MapReport(source, 0, cloud.dropped, 0, *nowhere, radius, None, (), *_empty(cloud))
     facts = _facts(cloud, source, radius)
     flight, inside = None, None
     if start is not None and goal is not None:

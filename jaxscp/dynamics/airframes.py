@@ -7,7 +7,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxscp.core.arrays import as_floats, floats, namespace
+from jaxscp.core.arrays import as_floats, floats, namespace, numbers
 from jaxscp.core.types import Scalar
 from jaxscp.dynamics.rigid_body import RigidBody
 
@@ -40,15 +40,16 @@ class MultirotorNumbers(TypedDict):
     radius: NotRequired[Scalar | float]
 
 
-def multirotor(**numbers: Unpack[MultirotorNumbers]) -> Airframe:
+def multirotor(**given: Unpack[MultirotorNumbers]) -> Airframe:
     """Rotors on a circle, the first at 45 degrees (quadrotor) or half a spacing, spinning alternately.
 
     Args:
-        numbers: keyword arguments, as follows.
+        given: keyword arguments, as follows.
             mass: kg.
             inertia: kg m^2, three principal moments or a 3 x 3 matrix.
             arm: distance of the rotors from the centre in m.
-            torque_ratio: drag torque per thrust (kappa) in m.
+            torque_ratio: drag torque per thrust (kappa) in m. Positive where the first rotor, front left, turns
+                clockwise seen from above; negative where all rotors turn the other way.
             thrust_min: N for each rotor.
             thrust_max: N for each rotor.
             rotors: number of rotors, four by default.
@@ -60,7 +61,8 @@ def multirotor(**numbers: Unpack[MultirotorNumbers]) -> Airframe:
 
     Raises:
         TypeError: if a number is missing, or a name is unknown.
-        ValueError: if ``inertia`` is neither three moments nor a matrix.
+        ValueError: if ``inertia`` is neither three moments nor a matrix, an entry is no number, ``arm`` is negative,
+            or ``rotors`` is no whole number.
 
     Example:
         >>> from jaxscp import airframes
@@ -69,9 +71,9 @@ def multirotor(**numbers: Unpack[MultirotorNumbers]) -> Airframe:
         >>> hexa.body.control_size
         6
     """
-    _check_names(numbers)
-    xp, rotors, tilt = namespace(numbers), numbers.get("rotors", 4), numbers.get("tilt", 0.0)
-    arm, torque_ratio = numbers["arm"], numbers["torque_ratio"]
+    _check_names(given)
+    xp, rotors, values = namespace(given), _count(given.get("rotors", 4)), _values(given)
+    arm, torque_ratio, tilt = values["arm"], values["torque_ratio"], values.get("tilt", 0.0)
     angle = (np.arange(rotors) + 0.5) * 2.0 * np.pi / rotors
     spin = np.where(np.arange(rotors) % 2 == 0, 1.0, -1.0)
     position = arm * np.stack([np.cos(angle), np.sin(angle), np.zeros(rotors)])
@@ -79,18 +81,32 @@ def multirotor(**numbers: Unpack[MultirotorNumbers]) -> Airframe:
     axis = xp.sin(spin * tilt) * sideways + xp.cos(tilt) * np.array([[0.0], [0.0], [1.0]])
     torque = xp.cross(position, axis, axis=0) + torque_ratio * spin * axis
     body = RigidBody(
-        mass=floats(numbers["mass"]),
-        inertia=_inertia_matrix(numbers["inertia"], xp),
+        mass=floats(values["mass"]),
+        inertia=_inertia_matrix(values["inertia"], xp),
         thrust_map=floats(axis),
         torque_map=floats(torque),
         gravity=floats([0.0, 0.0, -GRAVITY]),
     )
-    least, most = (floats(xp.full(rotors, limit)) for limit in (numbers["thrust_min"], numbers["thrust_max"]))
-    return Airframe(body, least, most, floats(numbers.get("radius", arm)))
+    least, most = (floats(xp.full(rotors, limit)) for limit in (values["thrust_min"], values["thrust_max"]))
+    return Airframe(body, least, most, floats(values.get("radius", arm)))
 
 
-def _inertia_matrix(inertia: Any, xp: Any) -> Float[Array, "3 3"]:
-    moments = xp.asarray(inertia, float)
+def _values(given: Mapping[str, Any]) -> dict[str, Any]:
+    """All numbers but the count of rotors, as arrays of floats."""
+    values = {name: numbers(f"multirotor: {name}", v) for name, v in given.items() if name != "rotors"}
+    arm = values["arm"]
+    if isinstance(arm, np.ndarray) and np.any(arm < 0.0):
+        raise ValueError(f"multirotor: arm: must not be negative, got {arm} m")
+    return values
+
+
+def _count(rotors: Any) -> int:
+    if isinstance(rotors, bool) or not isinstance(rotors, int | np.integer) or rotors < 1:
+        raise ValueError(f"multirotor: rotors: expected a whole number, 1 or more, got {rotors!r}")
+    return int(rotors)
+
+
+def _inertia_matrix(moments: Any, xp: Any) -> Float[Array, "3 3"]:
     if moments.shape not in ((3,), (3, 3)):
         raise ValueError(
             f"inertia: expected three principal moments or a 3 x 3 matrix, got shape {moments.shape}"
@@ -98,11 +114,11 @@ def _inertia_matrix(inertia: Any, xp: Any) -> Float[Array, "3 3"]:
     return floats(xp.diag(moments) if moments.ndim == 1 else moments)
 
 
-def _check_names(numbers: Mapping[str, Any]) -> None:
+def _check_names(given: Mapping[str, Any]) -> None:
     required, optional = MultirotorNumbers.__required_keys__, MultirotorNumbers.__optional_keys__
-    if missing := sorted(required - set(numbers)):
+    if missing := sorted(required - set(given)):
         raise TypeError(f"multirotor: {', '.join(missing)} must be given")
-    if unknown := sorted(set(numbers) - required - optional):
+    if unknown := sorted(set(given) - required - optional):
         raise TypeError(
             f"multirotor: unknown {', '.join(unknown)}; there are {', '.join(sorted(required | optional))}"
         )

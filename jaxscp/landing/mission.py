@@ -4,13 +4,15 @@ Optional parts (limits, keep-out zones, gates, a moving deck, free components) a
 work.
 """
 
+import warnings
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from jaxscp.core.arrays import as_floats, floats, namespace, triple, unit_lengths
+from jaxscp.core.arrays import as_floats, floats, namespace, numbers, triple, unit_lengths
 from jaxscp.core.obstacles import Hull, Obstacles
 from jaxscp.core.types import Points, Quaternion, Scalar, Vector3
 from jaxscp.corridor.polytopes import Corridor, unit_rows
@@ -37,12 +39,20 @@ class BodyState(eqx.Module):
     def of(cls, vector: Float[Array, "13"]) -> "BodyState":
         """From the 13 states in the order of ``Trajectory.state``.
 
+        Raises:
+            ValueError: the vector has another shape.
+
         Example:
             >>> import jax.numpy as jnp, jaxscp
             >>> state = jaxscp.at_rest([1.0, 2.0, 3.0])
             >>> bool((jaxscp.BodyState.of(state.vector()).position == jnp.array([1.0, 2.0, 3.0])).all())
             True
         """
+        if (shape := np.shape(vector)) != (13,):
+            raise ValueError(
+                "BodyState.of: expected 13 numbers: position 3, velocity 3, attitude (w, x, y, z) and body rate 3; "
+                f"got shape {shape}"
+            )
         return cls(vector[:3], vector[3:6], vector[6:10], vector[10:])
 
     def vector(self) -> Float[Array, "13"]:
@@ -51,17 +61,24 @@ class BodyState(eqx.Module):
 
 
 def at_rest(position, yaw: Scalar | float = 0.0) -> BodyState:
-    """Level and at rest at a position in m, heading ``yaw`` radians.
+    """Level and at rest at a position in m, heading ``yaw`` radians; warns of a yaw beyond a whole turn.
 
     Raises:
-        ValueError: the position is no three numbers.
+        ValueError: the position is no three numbers, or the yaw is no number.
 
     Example:
         >>> import jaxscp
         >>> jaxscp.at_rest([1.0, 2.0, 3.0]).vector().shape
         (13,)
     """
-    zero = floats(np.zeros(3))
+    zero, angle = floats(np.zeros(3)), numbers("yaw", yaw, "one number, in radians")
+    if angle.shape != ():
+        raise ValueError(f"yaw: expected one number, in radians, got shape {angle.shape}")
+    if isinstance(angle, np.ndarray) and abs(angle) > 2.0 * np.pi:
+        degrees = f"np.radians({float(angle):g})"
+        warnings.warn(
+            f"yaw: {angle:g} rad is beyond a whole turn; for degrees, write {degrees}", stacklevel=2
+        )
     return BodyState(floats(triple("position", position)), zero, rotations.from_yaw(yaw), zero)
 
 
@@ -129,9 +146,14 @@ def _limits(given: FlightLimits | None) -> FlightLimits:
 
 
 def flight_limits(*, speed=None, tilt=None, body_rate=None, thrust_rate=None) -> FlightLimits:
-    """``FlightLimits`` from plain numbers."""
-    numbers = (speed, tilt, body_rate, thrust_rate)
-    return FlightLimits(*(None if v is None else floats(v) for v in numbers))
+    """``FlightLimits`` from plain numbers.
+
+    Raises:
+        ValueError: a limit is no number; the message names it.
+    """
+    given = {"speed": speed, "tilt": tilt, "body_rate": body_rate, "thrust_rate": thrust_rate}
+    found = {k: floats(numbers(f"limits.{k}", v, "a number")) for k, v in given.items() if v is not None}
+    return FlightLimits(**found)
 
 
 class Ellipsoids(eqx.Module):
@@ -162,8 +184,8 @@ def ellipsoids(centres, semi_axes) -> Ellipsoids:
         [2.0, 2.0, 2.0]
     """
     xp = namespace(centres, semi_axes)
-    centres = xp.atleast_2d(xp.asarray(centres, float))
-    semi_axes = xp.asarray(semi_axes, float)
+    centres = xp.atleast_2d(numbers("ellipsoids: centres", centres))
+    semi_axes = numbers("ellipsoids: semi_axes", semi_axes)
     if centres.size == 0:  # no ellipsoid: a list without entries has no shape of its own
         centres, semi_axes = centres.reshape(0, 3), xp.ones((0, 3))
     count = centres.shape[0]
@@ -192,8 +214,8 @@ class Mission(eqx.Module):
     airframe: Airframe
     start: BodyState
     goal: BodyState
-    """On the deck. For a moving deck: its position at time zero, and the velocity relative to the deck.
-    The landing cone stands on the goal's own x-y plane, so that a tilted goal is a tilted deck."""
+    """On the deck. For a moving deck: its position at time zero (of a re-plan: now), and the velocity relative to the
+    deck. The landing cone stands on the goal's own x-y plane, so that a tilted goal is a tilted deck."""
     corridor: Corridor
     cone_angle: Scalar = eqx.field(converter=as_floats)
     """gamma_c in radians: angle of the landing cone's side above the deck; pi/4 in the paper."""
@@ -211,7 +233,7 @@ class Mission(eqx.Module):
     gates: Ellipsoids | None = None
     """Zones to pass through, in this order, each at a time of the planner's choice: way-points and gates."""
     deck_velocity: Vector3 | None = eqx.field(default=None, converter=as_floats)
-    """m/s, world; None for a deck at rest."""
+    """m/s, world: goal and landing cone move with it from time zero on. None for a deck at rest."""
     start_fixed: Components | None = None
     """None: all."""
     goal_fixed: Components | None = None

@@ -3,25 +3,17 @@
 ``rules`` works on NumPy arrays (before anything is compiled) and on traced arrays.
 """
 
-from typing import Any, NamedTuple
-
 import numpy as np
 
 from jaxscp.landing.hover import can_hover
+from jaxscp.landing.inertia import inertia_rule
 from jaxscp.landing.mission import Mission
 from jaxscp.landing.recovery import CLEARANCE, LIMIT_RECOVERY
+from jaxscp.landing.rule import Rule, short
 
 PADDED = 1.0  # offset of a row that only pads: 0 . p <= 1
+ASTRAY = 2e-3  # m: a plan may end so far outside of a wall
 UNIT_NORM = 1e-3  # by which a quaternion's norm may differ from one
-
-
-class Rule(NamedTuple):
-    """One requirement."""
-
-    holds: Any
-    """Array of one boolean."""
-    message: str
-    """Field and likely cause, for when it does not hold."""
 
 
 def rules(s: Mission, xp):
@@ -31,6 +23,7 @@ def rules(s: Mission, xp):
     yield from _vehicle_rules(s, xp)
     yield from _limit_rules(s, xp)
     yield from _corridor_rules(s, xp)
+    yield from _deck_rules(s, xp)
     yield from _flight_limit_rules(s, xp)
     yield from _duration_rules(s, xp)
     yield from _zone_rules(s, xp)
@@ -58,7 +51,7 @@ def _direction_rules(s: Mission, xp):
         norm = xp.sqrt(xp.sum(getattr(s, name).attitude ** 2))
         yield Rule(
             xp.abs(norm - 1.0) <= UNIT_NORM,
-            f"{name}.attitude: quaternion (w, x, y, z) has norm {norm}, not 1. Normalise it; is w first?",
+            f"{name}.attitude: quaternion has norm {norm}, not 1. Is w first? Normalise it: q / np.linalg.norm(q).",
         )
     # Squares, as in the scaling: a normal whose square is zero has no direction.
     lost = (xp.sum(s.corridor.normals**2, axis=-1) == 0.0) & (s.corridor.offsets != PADDED)
@@ -83,6 +76,7 @@ def _vehicle_rules(s: Mission, xp):
         definite & (asymmetry <= 1e-9 * xp.max(xp.abs(body.inertia))),
         "airframe.body.inertia: must be symmetric and positive definite; units are kg m^2.",
     )
+    yield inertia_rule(frame, xp)
     excess = xp.max(frame.thrust_min - frame.thrust_max, initial=-np.inf)
     yield Rule(
         excess <= 0.0, f"airframe.thrust_min: exceeds airframe.thrust_max by {excess} N for some rotor."
@@ -128,26 +122,21 @@ def _limit_rules(s: Mission, xp):
     )
 
 
-def _short(value) -> str:
-    """A number in three digits; one that is traced stands for no message."""
-    return f"{float(value):.3g}" if isinstance(value, float | np.ndarray) else str(value)
-
-
 def _corridor_rules(s: Mission, xp):
     corridor = s.corridor
     inside_first = xp.min(corridor.offsets[0] - corridor.normals[0] @ s.start.position)
     inside_last = xp.min(corridor.offsets[-1] - corridor.normals[-1] @ s.goal.position)
-    recovery = _short(s.recovery)
+    recovery = short(s.recovery)
     allowed = "" if recovery == "0" else f"; of a measured start, recovery allows {recovery} m"
     yield Rule(s.recovery >= 0.0, f"recovery: must not be negative, got {s.recovery} m.")
     yield Rule(
         inside_first >= -CLEARANCE - s.recovery,
-        f"start.position: lies {_short(-inside_first)} m outside the corridor's first polytope (empty, or elsewhere; "
+        f"start.position: lies {short(-inside_first)} m outside the corridor's first polytope (empty, or elsewhere; "
         f"or does a margin of connect() move a wall over it?){allowed}.",
     )
     yield Rule(
         inside_last >= -CLEARANCE,
-        f"goal.position: lies {_short(-inside_last)} m outside the corridor's last polytope (empty, or elsewhere?).",
+        f"goal.position: lies {short(-inside_last)} m outside the corridor's last polytope (empty, or elsewhere?).",
     )
     for side, first in (("before", 0), ("after", 1)):
         normals, offsets = (
@@ -165,6 +154,19 @@ def _corridor_rules(s: Mission, xp):
     yield Rule(
         xp.all(_bounded(corridor.normals, xp)),
         "corridor.normals: a polytope is unbounded; add faces (jaxscp.corridor.box makes a bounded one).",
+    )
+
+
+def _deck_rules(s: Mission, xp):
+    """The deck is still in the last polytope at the least flight time; later, one that left it is farther outside."""
+    if s.deck_velocity is None or s.goal_fixed is not None:
+        return
+    landing = s.goal.position + s.deck_velocity * s.dilation_min
+    outside = xp.max(s.corridor.normals[-1] @ landing - s.corridor.offsets[-1])
+    yield Rule(
+        outside <= ASTRAY,
+        f"deck_velocity: after the least flight time, dilation_min = {short(s.dilation_min)} s, the deck is "
+        f"{short(outside)} m outside the corridor's last polytope. Is it in m/s?",
     )
 
 
@@ -227,7 +229,7 @@ def _duration_rules(s: Mission, xp):
     way = xp.sqrt(xp.sum((s.goal.position - s.start.position) ** 2))
     yield Rule(
         (way <= s.limits.speed * _beyond_limits(s, "start", xp) * s.dilation_max) | (s.limits.speed <= 0.0),
-        f"dilation_max: at limits.speed, {s.limits.speed} m/s, the {_short(way)} m from start to goal take longer than "
+        f"dilation_max: at limits.speed, {s.limits.speed} m/s, the {short(way)} m from start to goal take longer than "
         f"the greatest flight time, {s.dilation_max} s; raise dilation_max.",
     )
 

@@ -1,5 +1,6 @@
 """A landing scenario: a mission with the interface that a planner needs."""
 
+import dataclasses
 import os
 
 import equinox as eqx
@@ -28,6 +29,32 @@ from jaxscp.problem.trajectory import Trajectory
 
 class LandingScenario(Mission):
     """All data of a landing as one pytree; every float is a leaf that a study may vary.
+
+    Numbers are in SI units and float64. The first eight fields have no default; ``scenarios.through`` takes the paper's
+    airframe, cone angle, weights and dilations.
+
+    Args:
+        airframe: ``Airframe``: mass in kg, inertia in kg m^2, rotors in N, hull radius in m.
+        start: ``BodyState`` at time zero: position (3,) m, velocity (3,) m/s, attitude (4,), body rate (3,) rad/s.
+        goal: ``BodyState`` on the deck. Position and attitude are the deck's at time zero; the velocity is relative to
+            the deck. The landing cone stands on the goal's x-y plane.
+        corridor: ``Corridor``: polytopes for the vehicle's centre, m.
+        cone_angle: (), rad: angle of the landing cone's side above the deck, in (0, pi/2).
+        weights: ``Weights`` of the cost: control per N s, time per s.
+        dilation_min: (), s: least dt/dtau, and so the least flight time.
+        dilation_max: (), s: greatest dt/dtau, and so the greatest flight time.
+        obstacles: (points, 3), m, for pictures alone; default None.
+        limits: ``FlightLimits``: speed m/s, tilt rad, body rate rad/s, thrust rate N/s; default None, no limits.
+        keep_out: ``Ellipsoids`` to stay out of, at rest; default None.
+        gates: ``Ellipsoids`` to pass, in this order, at rest; default None.
+        deck_velocity: (3,), m/s, world. Goal and landing cone move with it: at time t the goal is at ``goal.position +
+            deck_velocity t``. The attitude stays: a deck does not turn. Default None, a deck at rest.
+        start_fixed: ``Components`` of the start that are fixed; default None, all.
+        goal_fixed: ``Components`` of the goal that are fixed; default None, all.
+        recovery: (), m by which the start may lie outside of walls and zones; default 0.
+        near_obstacles: ``Obstacles`` that the certificate keeps the hull from; default None, none are known.
+
+    Time zero is the start of the flight. For a re-plan in flight it is now: ``after`` moves the goal there.
 
     Example:
         >>> import dataclasses, jaxscp
@@ -67,6 +94,28 @@ class LandingScenario(Mission):
                 "solution.save(file, scenario)"
             )
         return found
+
+    def after(self, seconds: Scalar | float) -> "LandingScenario":
+        """The scenario as seen some seconds later: the goal is where the deck has moved to.
+
+        Corridor, zones, gates and obstacles are at rest in the world and stay. So does the start: replace it by the
+        measured state.
+
+        Args:
+            seconds: since this scenario's time zero; may be traced.
+
+        Example:
+            >>> import dataclasses, jax, jaxscp
+            >>> jax.config.update("jax_enable_x64", True)
+            >>> scenario = jaxscp.scenarios.platform_to_platform()
+            >>> moving = dataclasses.replace(scenario, deck_velocity=[0.5, 0.0, 0.0])
+            >>> moving.after(2.0).goal.position.tolist()
+            [11.0, 0.0, 1.0]
+        """
+        if self.deck_velocity is None:
+            return self
+        here = self.goal.position + self.deck_velocity * seconds
+        return dataclasses.replace(self, goal=dataclasses.replace(self.goal, position=here))
 
     def check(self, nodes: int) -> None:
         """Raise ``InvalidScenario`` if the scenario contradicts itself.

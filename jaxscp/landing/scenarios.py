@@ -78,6 +78,7 @@ class Parts(TypedDict, total=False):
     deck_velocity: Any
     start_fixed: Components | None
     goal_fixed: Components | None
+    recovery: Any
     near_obstacles: Obstacles | None
 
 
@@ -92,13 +93,13 @@ def through(
         goal: where it lands.
         obstacles: (points, 3) in m, for pictures.
         parts: other fields of ``LandingScenario``: airframe, weights, limits, keep_out, gates, deck_velocity,
-            cone_angle, dilation_min, dilation_max, start_fixed, goal_fixed, near_obstacles.
+            cone_angle, dilation_min, dilation_max, start_fixed, goal_fixed, recovery, near_obstacles.
 
     Warns of obstacle points inside the corridor. Where no near obstacle is known, also warns of a polytope in which no
     ball of the vehicle's radius fits: a corridor bounds the vehicle's centre.
 
     Raises:
-        TypeError: a scenario has no such field.
+        TypeError: a scenario has no such field; the message lists them.
         InvalidScenario: a part is of another class, a list instead of a state, say.
 
     Example:
@@ -112,6 +113,10 @@ def through(
         >>> float(jaxscp.scenarios.through(corridor, *ends, limits=limits).limits.speed)
         2.0
     """
+    if unknown := sorted(set(parts) - set(Parts.__annotations__)):
+        raise TypeError(
+            f"through: unknown {', '.join(unknown)}; there are {', '.join(sorted(Parts.__annotations__))}"
+        )
     scenario = _through(corridor, start, goal, obstacles, **parts)
     check_parts(scenario)
     for doubt in doubts(scenario):

@@ -9,6 +9,7 @@ from typing import Any
 import equinox as eqx
 
 from jaxscp.core.errors import InvalidScenario
+from jaxscp.corridor.polytopes import Corridor
 from jaxscp.landing.mission import Mission
 
 _MAKERS = {
@@ -18,6 +19,7 @@ _MAKERS = {
     "Ellipsoids": "jaxscp.ellipsoids(centres, semi_axes) makes them",
     "Obstacles": "jaxscp.corridor.obstacles_near(corridor, cloud, radius) makes them",
     "FlightLimits": "jaxscp.flight_limits(speed=4.0), say, makes them, and jaxscp.flight_limits() none",
+    "Weights": "jaxscp.Weights(control=1.0, time=0.0), say, makes them",
     "Airframe": "jaxscp.airframes has some",
 }
 
@@ -34,10 +36,23 @@ def _check_part(part: Any, expected: type, name: str) -> None:
     if not isinstance(part, expected):
         found = "None" if part is None else f"one of class {type(part).__name__}"
         hint = f"; {_MAKERS[expected.__name__]}" if expected.__name__ in _MAKERS else ""
+        if expected is Corridor:
+            hint += _search_hint(part)
         raise InvalidScenario(f"{name}: expected a part of class {expected.__name__}, got {found}{hint}.")
     for field, choices in _fields(expected):
         below = field if name == "scenario" else f"{name}.{field}"
         _check_field(getattr(part, field), choices, below)
+
+
+def _search_hint(part: Any) -> str:
+    """Words on the result of a search that is given in place of its corridor."""
+    if part is None:
+        return "; where build_corridor found no route, the message of its result says why"
+    if not hasattr(part, "corridor"):
+        return ""
+    if part.corridor is None:
+        return f"; this result holds none: {part.message}"
+    return "; give the field corridor of this result: found.corridor"
 
 
 @functools.cache

@@ -1,5 +1,7 @@
 """Validation of a mission: errors outside ``jit``, a flag for an element of a batch inside it."""
 
+import warnings
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,8 +11,10 @@ from jaxscp.core.errors import InvalidScenario
 from jaxscp.core.trees import named_leaves
 from jaxscp.core.types import Flag
 from jaxscp.landing.allocation import usual_nodes
+from jaxscp.landing.inertia import inertia_doubt
 from jaxscp.landing.mission import Mission
-from jaxscp.landing.rules import Rule, rules
+from jaxscp.landing.rule import Rule
+from jaxscp.landing.rules import rules
 from jaxscp.landing.structure import check_parts
 
 _MASKS = ("near_obstacles.present", "near_obstacles.deck")
@@ -18,6 +22,8 @@ _MASKS = ("near_obstacles.present", "near_obstacles.deck")
 
 def validate(scenario: Mission, nodes: int | None = None) -> None:
     """Raise ``InvalidScenario`` unless every rule holds. Compiles nothing.
+
+    Warns of an inertia that no body has: a principal moment above the sum of the other two.
 
     Args:
         scenario: a landing.
@@ -41,6 +47,8 @@ def validate(scenario: Mission, nodes: int | None = None) -> None:
         broken = [rule.message for rule in rules(concrete, np) if not rule.holds]
     if broken:
         raise InvalidScenario("\n".join(broken))
+    if doubt := inertia_doubt(concrete.airframe):
+        warnings.warn(doubt, stacklevel=2)
 
 
 def nodes_of(scenario: Mission) -> int:

@@ -88,7 +88,8 @@ class Planner(eqx.Module):
             solution: of this planner, or its trajectory: (nodes, states) and (nodes, controls). Each interval of a
                 solution keeps its polytope, if the new corridor has as many; else polytopes are chosen anew.
             scenario: the changed one. Its start is the present state. It may lie 0.1 m outside of a wall or a zone, and
-                a tenth beyond a limit; ``recovers`` of the solution then says so.
+                a tenth beyond a limit; ``recovers`` of the solution then says so. Its time zero is now: the goal of a
+                moving deck is the deck's present place, as of ``scenario.after(elapsed)`` or measured.
             elapsed: s since the start of the solution, which only its rest serves. Of a solution, polytopes and gates
                 before that lie behind: they ask for nothing any more.
 

@@ -19,6 +19,7 @@ from jaxscp.corridor import (
     pad,
     synthetic_maps,
 )
+from jaxscp.corridor.build import _distance
 from jaxscp.corridor.cells import cells_along
 from jaxscp.corridor.overlaps import deepest_ball, intersect
 from jaxscp.corridor.route import legs
@@ -113,7 +114,8 @@ def test_the_distance_to_every_original_point_is_the_radius():
 
 
 def test_an_empty_cloud_is_flown_in_boxes():
-    result = build_corridor(PointCloud.of([]), [0, 0, 1], [3, 0, 1], RADIUS)
+    with pytest.warns(UserWarning, match="holds no point, so that no obstacle is known"):
+        result = build_corridor(np.zeros((0, 3)), [0, 0, 1], [3, 0, 1], RADIUS)
     assert result.found
     assert result.corridor is not None
     assert result.corridor.count == 1
@@ -174,7 +176,8 @@ def test_a_corridor_larger_than_the_padding_is_an_error():
 
 
 def test_redundant_polytopes_are_dropped():
-    result = build_corridor(PointCloud.of([]), [0, 0, 1], [10, 0, 1], RADIUS, longest=1.0)
+    with pytest.warns(UserWarning, match="holds no point"):
+        result = build_corridor(PointCloud.of([]), [0, 0, 1], [10, 0, 1], RADIUS, longest=1.0)
     assert result.corridor is not None
     assert result.corridor.count < 10
     assert np.all(result.overlaps >= 0.1)
@@ -211,7 +214,21 @@ def test_faces_that_do_not_matter_are_found():
     assert float(deepest_ball(room).radius) == pytest.approx(0.5)
 
 
-@pytest.mark.parametrize("bad", [[0, 0], [[0, 0, 0]]])
-def test_places_must_be_three_coordinates(bad):
-    with pytest.raises(ValueError, match="three coordinates"):
-        build_corridor(PointCloud.of([]), bad, [1, 1, 1], RADIUS)
+@pytest.mark.parametrize("bad", [[0, 0], [[0, 0, 0]], "0 0 1", ["a", 0, 0], [[0, 1], 2]])
+@pytest.mark.parametrize("name", ["start", "goal", "lower", "upper"])
+def test_places_must_be_three_coordinates(name, bad):
+    places = {"start": [0, 0, 1], "goal": [1, 1, 1], name: bad}
+    with pytest.raises(ValueError, match=f"^{name} must be three coordinates in metres"):
+        build_corridor([[0.0, 0.0, 0.0]], radius=RADIUS, **places)
+
+
+@pytest.mark.parametrize("bad", ["0.3", [0.3, 0.3]])
+def test_distances_must_be_numbers(bad):
+    """Asked of the check alone: annotations are checked at run time in tests, and would come first."""
+    with pytest.raises(ValueError, match="radius must be one number in metres, got"):
+        _distance("radius", bad)
+
+
+def test_a_name_of_a_file_is_no_cloud():
+    with pytest.raises(ValueError, match=r"shape \(points, 3\), got 'hall\.ply'; read_cloud reads a file"):
+        build_corridor("hall.ply", [0, 0, 1], [1, 1, 1], RADIUS)

@@ -132,7 +132,9 @@ def test_an_array_without_one_finite_point_is_refused():
 def test_a_file_without_a_point_is_refused_and_an_empty_array_is_free_space(tmp_path):
     (tmp_path / "none.xyz").write_text("# x y z\n")
     assert "holds no point" in refused(read_cloud(tmp_path / "none.xyz"))
-    assert map_report(PointCloud.of([]), START, GOAL).accepted
+    report = map_report(PointCloud.of([]), START, GOAL)
+    assert report.accepted
+    assert "holds no point, so that no obstacle is known" in report.warnings[0]
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 3.4e38, -1e30])

@@ -52,3 +52,35 @@ def test_what_holds_no_scenario_says_so(tmp_path):
         ValueError, match=r"scenario\.npz: not a file that save wrote: it has no 'header', but time"
     ):
         jaxscp.LandingScenario.load(file)
+
+
+def test_after_some_seconds_the_goal_is_where_the_deck_is():
+    scenario, now = with_everything(), 1.5
+    later = scenario.after(now)
+    for time in (0.0, 2.0):
+        here, there = later.goal_at(jnp.array(time)), scenario.goal_at(jnp.array(now + time))
+        np.testing.assert_allclose(here.vector(), there.vector(), rtol=0, atol=1e-14)
+    same = dataclasses.replace(later, goal=scenario.goal)
+    for one, other in zip(*map(jax.tree.leaves, (same, scenario)), strict=True):
+        assert one is other
+
+
+def test_without_a_moving_deck_nothing_is_later():
+    scenario = bare()
+    assert scenario.after(3.0) is scenario
+
+
+def test_after_is_pure():
+    """Under ``jit`` and ``vmap``; its derivative is the deck's velocity."""
+    scenario = with_everything()
+    places = jax.jit(jax.vmap(lambda t: scenario.after(t).goal.position))(jnp.array([0.0, 2.0]))
+    velocity = np.asarray(scenario.deck_velocity)
+    np.testing.assert_allclose(places[1] - places[0], 2.0 * velocity, rtol=0, atol=1e-14)
+    slope = jax.jacfwd(lambda t: scenario.after(t).goal.position)(1.0)
+    np.testing.assert_array_equal(slope, velocity)
+
+
+def test_help_has_a_line_for_each_field():
+    text = str(jaxscp.LandingScenario.__doc__)
+    for field in dataclasses.fields(jaxscp.LandingScenario):
+        assert f"\n        {field.name}: " in text, field.name

@@ -1,5 +1,7 @@
 """Scenarios of one's own: parts by name, and numbers as Python, NumPy and JAX make them."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -7,6 +9,7 @@ import numpy as np
 import pytest
 
 import jaxscp
+from jaxscp.landing.scenarios import Parts
 from tests.support.rooms import room
 
 CORRIDOR = room().corridor
@@ -47,8 +50,13 @@ def test_parts_are_taken_by_name():
 
 
 def test_an_unknown_part_is_refused():
-    with pytest.raises(TypeError, match="colour"):
-        jaxscp.scenarios.through(CORRIDOR, *ENDS, colour="red")
+    with pytest.raises(TypeError, match=r"through: unknown colour, vehicle; there are airframe, .*weights"):
+        jaxscp.scenarios.through(CORRIDOR, *ENDS, colour="red", vehicle=None)
+
+
+def test_every_field_of_a_scenario_is_taken_by_name():
+    fields = {field.name for field in dataclasses.fields(jaxscp.LandingScenario)}
+    assert set(Parts.__annotations__) == fields - {"start", "goal", "corridor", "obstacles"}
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import pytest
 
 import jaxscp
 from jaxscp import InvalidScenario
+from jaxscp.landing.structure import check_parts
 from jaxscp.solver import pipeline
 from tests.support.rooms import room
 
@@ -31,11 +32,20 @@ def unchecked(field, part):
     return eqx.tree_at(lambda s: getattr(s, field), ROOM, part, is_leaf=lambda v: v is None)
 
 
+def search(passage):
+    """Result of a search through a wall, with a passage or without."""
+    wall = [[3.0, y, z] for y in np.arange(-5, 5, 0.2) for z in np.arange(0, 5, 0.2) if not passage or y < 0]
+    around = {"lower": [-1, -5, 0], "upper": [11, 5, 5]}
+    return jaxscp.corridor.build_corridor(wall, [0, 0, 1], [6, 1, 1], radius=0.3, **around)
+
+
 WRONG = {
     "corridor": unchecked("corridor", None),
     "corridor: expected .* Corridor, got one of class Polytope": unchecked(
         "corridor", jaxscp.corridor.box([0.0] * 3, [1.0] * 3)
     ),
+    "corridor: .* build_corridor found no route, the message": unchecked("corridor", search(False).corridor),
+    r"weights: .* tuple; jaxscp\.Weights\(control=": unchecked("weights", (0.1, 1.0)),
     "start: expected .* BodyState, got one of class tuple": unchecked("start", (0.0, 0.0, 1.0)),
     "goal": unchecked("goal", None),
     "limits": unchecked("limits", None),
@@ -51,6 +61,13 @@ WRONG = {
         lambda s: s.airframe.body, ROOM, jaxscp.DoubleIntegrator(1)
     ),
 }
+
+
+def test_the_result_of_a_search_is_no_corridor_but_has_one():
+    with pytest.raises(InvalidScenario, match=r"give the field corridor of this result: found\.corridor"):
+        check_parts(unchecked("corridor", search(passage=True)))
+    with pytest.raises(InvalidScenario, match="this result holds none: no route: "):
+        check_parts(unchecked("corridor", search(passage=False)))
 
 
 @pytest.mark.parametrize("words", WRONG)

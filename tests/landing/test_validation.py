@@ -48,6 +48,8 @@ BAD = {
     "unbounded": (lambda s: s.corridor.normals, lambda v: v.at[1, 2].set(0.0), "corridor.normals"),
     "limits crossed": (lambda s: s.airframe.thrust_min, lambda v: v + 9.0, "airframe.thrust_min"),
     "inertia": (lambda s: s.airframe.body.inertia, lambda v: v.at[0, 0].set(-1.0), "airframe.body.inertia"),
+    "inertia in g m^2": (lambda s: s.airframe.body.inertia, lambda v: v * 1e3, "airframe.body.inertia"),
+    "inertia in g cm^2": (lambda s: s.airframe.body.inertia, lambda v: v * 1e7, "airframe.body.inertia"),
     "quaternion": (lambda s: s.start.attitude, lambda v: v * 2.0, "start.attitude"),
     "cannot hover": (lambda s: s.airframe.thrust_max, lambda v: v * 0.2, "airframe"),
     "cone in degrees": (lambda s: s.cone_angle, lambda v: v * 57.0, "cone_angle"),
@@ -77,6 +79,7 @@ BAD_PARTS = {
     "gate elsewhere": ({"gates": ball([[90.0, 0.0, 1.0]], 0.5)}, "gates.centres"),
     "too many gates": ({"gates": ball([[1.5, 2.0, 1.5]] * 19, 0.5)}, "gates"),
     "deck": ({"deck_velocity": jnp.array([1.0, jnp.inf, 0.0])}, "deck_velocity"),
+    "deck leaves": ({"deck_velocity": jnp.array([40.0, 0.0, 0.0])}, "deck_velocity"),
     "half fixed": ({"goal_fixed": jaxscp.fixed(velocity=0.5)}, "goal_fixed.velocity"),
 }
 
@@ -122,6 +125,37 @@ def test_single_precision_is_refused(scenario):
 )
 def test_shipped_missions_are_valid(mission):
     jaxscp.validate(mission(), 30)
+
+
+VEHICLES = {  # mass kg, principal moments kg m^2, arm m
+    "30 g": (0.03, [1.7e-5, 1.7e-5, 3.0e-5], 0.046),
+    "heavy middle": (1.4, [5e-3, 5e-3, 6e-3], 0.35),
+    "200 kg": (200.0, [60.0, 90.0, 140.0], 2.2),
+    "ring": (2.0, [0.08, 0.08, 0.16], 0.28),
+}
+
+
+@pytest.mark.parametrize("name", VEHICLES)
+def test_an_inertia_of_a_real_vehicle_is_taken(scenario, name):
+    mass, inertia, arm = VEHICLES[name]
+    thrusts = {"thrust_min": 0.0, "thrust_max": 9.0 * mass}
+    frame = jaxscp.airframes.multirotor(mass=mass, inertia=inertia, arm=arm, torque_ratio=0.01, **thrusts)
+    jaxscp.validate(dataclasses.replace(scenario, airframe=frame))
+
+
+def test_an_inertia_that_no_body_has_is_warned_of(scenario):
+    moments = jnp.diag(jnp.array([2.5e-3, 2.1e-3, 9e-3]))
+    odd = eqx.tree_at(lambda s: s.airframe.body.inertia, scenario, moments)
+    with pytest.warns(UserWarning, match=r"airframe\.body\.inertia: no body has the principal moments"):
+        jaxscp.validate(odd)
+
+
+def test_a_quaternion_off_unit_norm_comes_with_its_remedy(scenario):
+    odd = eqx.tree_at(lambda s: s.start.attitude, scenario, 1.017 * scenario.start.attitude)
+    with pytest.raises(InvalidScenario, match=r"norm 1\.017, .* q / np\.linalg\.norm\(q\)"):
+        jaxscp.validate(odd)
+    unit = odd.start.attitude / np.linalg.norm(odd.start.attitude)
+    jaxscp.validate(eqx.tree_at(lambda s: s.start.attitude, odd, unit))
 
 
 @pytest.mark.slow

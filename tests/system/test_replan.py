@@ -257,3 +257,18 @@ def test_residuals_of_the_ends_count():
     merit = Merit(problem, no_multipliers(problem, z, Grid()), 10.0, jnp.ones(13))
     assert float(found.dynamics) > float(closed.dynamics)
     assert float(merit(found)) > float(merit(closed))
+
+
+@pytest.mark.nightly
+def test_in_flight_a_moving_deck_is_where_it_has_moved_to():
+    """The rest of a plan lands where and when the plan does; from the old goal it would land beside the deck."""
+    scenario, elapsed = dataclasses.replace(room(), deck_velocity=jnp.array([0.3, 0.1, 0.0])), 0.5
+    plan = PLANNER(scenario)
+    measured = jaxscp.BodyState.of(plan.trajectory.at(jnp.array([elapsed])).state[0])
+    rest = PLANNER.replan(plan, dataclasses.replace(scenario.after(elapsed), start=measured), elapsed)
+    assert jaxscp.status_names(rest.status) == "converged"
+    total = elapsed + float(rest.final_time)
+    np.testing.assert_allclose(
+        rest.trajectory.state[-1], scenario.goal_at(jnp.array(total)).vector(), atol=2e-3
+    )
+    np.testing.assert_allclose(total, float(plan.final_time), rtol=FINER)
