@@ -150,7 +150,7 @@ def _write_files(request: PlanRequest, scenario: LandingScenario, solution: Solu
     if request.save is not None:
         solution.trajectory.save(request.save)
     if request.csv is not None:
-        solution.trajectory.sample(rate=RATE).to_csv(request.csv)
+        solution.trajectory.sample(rate=RATE, end=True).to_csv(request.csv)
     if request.plot is not None:
         from jaxscp.plot.page import summary
 

@@ -118,12 +118,12 @@ class Trajectory(eqx.Module):
         first, last = self.interval_controls()
         return samples_at(dynamics, Pieces(self.time, self.dilation, self.state, first, last), times, steps)
 
-    def sample(self, *, rate: float | int, end: bool = True, steps: int = STEPS) -> Samples:
-        """``at`` equal steps in time, 0, 1 / rate, ..., and at the final time: the last step may be shorter.
+    def sample(self, *, rate: float | int, end: bool = False, steps: int = STEPS) -> Samples:
+        """``at`` equal steps in time: 0, 1 / rate, ... up to the final time, which need not be one of them.
 
         Args:
             rate: samples a second, in Hz.
-            end: whether the final time is added where it is no multiple of 1 / rate; else the steps are all equal.
+            end: whether the final time is added where it is no multiple of 1 / rate: the last step is then shorter.
             steps: as in ``at``.
 
         Raises:
@@ -134,8 +134,8 @@ class Trajectory(eqx.Module):
             >>> import jaxscp
             >>> drive = jaxscp.Trajectory.from_arrays([0.0, 1.7], [[0.0, 0.0], [2.0, 2.0]], [[1.0], [1.0]])
             >>> drive = drive.with_dynamics(jaxscp.DoubleIntegrator(1))
-            >>> drive.sample(rate=2.0).time.tolist(), drive.sample(rate=2.0, end=False).time.tolist()
-            ([0.0, 0.5, 1.0, 1.5, 1.7], [0.0, 0.5, 1.0, 1.5])
+            >>> drive.sample(rate=2.0).time.tolist(), drive.sample(rate=2.0, end=True).time.tolist()
+            ([0.0, 0.5, 1.0, 1.5], [0.0, 0.5, 1.0, 1.5, 1.7])
         """
         self._known_dynamics()
         if namespace(self.time, rate) is jnp:

@@ -174,7 +174,7 @@ def drive(duration=2.0):
 
 @pytest.mark.parametrize(("duration", "rate", "count"), [(2.0, 10, 21), (2.3, 100, 231), (2.05, 10, 21)])
 def test_samples_are_equally_spaced_from_the_start(duration, rate, count):
-    samples = drive(duration).sample(rate=rate, end=False)
+    samples = drive(duration).sample(rate=rate)
     np.testing.assert_allclose(samples.time, np.arange(count) / rate, rtol=0, atol=ROUNDING)
     np.testing.assert_allclose(samples.state[:, 0], 0.5 * samples.time**2, rtol=0, atol=ROUNDING)
 
@@ -182,9 +182,9 @@ def test_samples_are_equally_spaced_from_the_start(duration, rate, count):
 @pytest.mark.parametrize(
     ("duration", "count"), [(3.311, 333), (9.99999963, 1001), (2.0000002, 201), (2.3, 231), (0.001, 2)]
 )
-def test_the_last_sample_is_the_end(duration, count, tmp_path):
+def test_the_end_is_a_sample_where_asked_for(duration, count, tmp_path):
     path = drive(duration)
-    samples = path.sample(rate=100)
+    samples = path.sample(rate=100, end=True)
     assert len(samples.time) == count
     assert float(samples.time[-1]) == duration
     np.testing.assert_allclose(samples.state[-1], path.state[-1], rtol=0, atol=ROUNDING)

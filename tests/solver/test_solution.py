@@ -208,20 +208,12 @@ def test_the_best_of_a_list_is_the_cheapest_that_converged(solution):
     assert float(js.best([dear, failed, solution]).cost) == float(solution.cost)
 
 
-def test_where_none_converged_there_is_no_best(solution):
-    """An error that counts; NaN and a status under ``jit``, where nothing can raise."""
+def test_where_none_converged_the_first_one_tells(solution):
     failed = eqx.tree_at(lambda s: s.status, solution, js.Status.dynamics_unmet)
     invalid = eqx.tree_at(
         lambda s: (s.status, s.cost), solution, (js.Status.invalid_input, jnp.array(jnp.nan))
     )
-    several = [failed, invalid, failed]
-    with pytest.raises(ValueError, match="none of 3 converged: 2 dynamics_unmet, 1 invalid_input"):
-        js.best(several)
-    stack = lambda each: jax.tree.map(lambda *v: jnp.stack(v), *each)  # noqa: E731
-    found = jax.jit(js.best)(stack(several))
-    assert js.status_names(found.status) == "dynamics_unmet"
-    assert all(np.all(np.isnan(v)) for v in jax.tree.leaves(found) if jnp.issubdtype(v.dtype, jnp.inexact))
-    assert float(jax.jit(js.best)(stack([failed, solution])).cost) == float(solution.cost)
+    assert js.status_names(js.best([failed, invalid, failed]).status) == "dynamics_unmet"
 
 
 def test_the_best_says_what_it_expects(solution):
