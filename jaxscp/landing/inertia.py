@@ -8,7 +8,7 @@ from jaxscp.dynamics.airframes import Airframe
 from jaxscp.landing.rule import Rule, short
 
 FARTHEST = 10.0  # reaches of the vehicle: greatest radius of gyration; real vehicles have 0.3 to 1.5
-MEASURED = 0.01  # fraction by which measured moments may break the triangle inequality
+SCATTER = 0.3  # fraction by which measured moments, or those of a study, may break the triangle inequality
 _TINY = 1e-12
 
 
@@ -58,7 +58,7 @@ def inertia_doubt(airframe: Airframe) -> str:
         ''
     """
     least, middle, most = np.linalg.eigvalsh(np.asarray(airframe.body.inertia)).tolist()
-    if most <= (1.0 + MEASURED) * (least + middle):
+    if most <= (1.0 + SCATTER) * (least + middle):
         return ""
     return (
         f"airframe.body.inertia: no body has the principal moments {least:.3g}, {middle:.3g} and {most:.3g} kg m^2: "
