@@ -94,7 +94,7 @@ def _pair(sides: tuple[Side, Side], servers: dict[str, list[Server]], order: tup
 
 
 def _start(side: Side, kind: str) -> tuple[float, float]:
-    """Seconds from the start of a process to its first plan, and those of the call."""
+    """Seconds from the start of a process to its first plan, and seconds of the call."""
     arguments = {
         "cold": {},
         "cached": {"cache": str(side.scratch / "cache")},

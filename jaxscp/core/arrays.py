@@ -42,7 +42,7 @@ def numbers(name: str, value: Any, expected: str = "numbers") -> Any:
     Args:
         name: of the numbers, for the message.
         value: a number, an array, or nested lists.
-        expected: what is wanted, for the message.
+        expected: kind of numbers, for the message.
 
     Raises:
         ValueError: these are no numbers.

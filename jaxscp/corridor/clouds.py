@@ -51,7 +51,7 @@ class PointCloud(eqx.Module):
     dropped: int = 0
     """How many points were left out because a coordinate was not finite."""
     provenance: Provenance | None = eqx.field(static=True, default=None)
-    """The file that the points came from, and what was stated of them; None for an array in metres, z up."""
+    """The file that the points came from, and its stated unit and frame; None for an array in metres, z up."""
 
     @staticmethod
     def of(

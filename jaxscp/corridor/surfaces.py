@@ -57,7 +57,7 @@ def surface_content(path: Path, surface: Surface, request: Request, merge: bool 
 
     Args:
         path: the file, for messages.
-        surface: what the file holds.
+        surface: content of the file.
         request: options of the reader.
         merge: whether corners of triangles at one place become one, so that no edge is sampled twice.
 

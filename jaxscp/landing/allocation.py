@@ -30,7 +30,7 @@ def allocate(route: Route, nodes: int) -> Int[Array, "intervals"]:
     last = count - 1 - jnp.minimum(route.padding, count - 1 - passed)
     legs = last + 1 - passed
     spare = (nodes - 1 - legs).astype(share.dtype)  # beyond one for each leg
-    # What the last leg needs is taken from all legs before it, not from its neighbour alone.
+    # The last leg's share is taken from all legs before it, not from its neighbour alone.
     most = jnp.maximum(spare + 1.0 - in_last(nodes), 0.0)
     before = jnp.where(last > 0, share[last - 1], 0.0)
     before_last = jnp.minimum(spare * before / jnp.maximum(share[-1], 1e-9), most)

@@ -8,7 +8,7 @@ from jaxscp.dynamics.airframes import Airframe
 from jaxscp.landing.rule import Rule, short
 
 FARTHEST = 10.0  # reaches of the vehicle: greatest radius of gyration; real vehicles have 0.3 to 1.5
-SCATTER = 0.3  # fraction by which measured moments, or those of a study, may break the triangle inequality
+SCATTER = 0.3  # fraction by which moments, measured or of a study, may break the triangle inequality
 _TINY = 1e-12
 
 

@@ -32,7 +32,7 @@ def described(value: Any) -> Any:
 
     Functions and classes of the study are compared by their code, defaults, closures, and the globals and modules that
     they name. Modules, functions and classes of installed packages are compared by name and version. All other objects
-    are compared by their fields, or by what pickle would store. ``unknown`` finds those that have no such content.
+    are compared by their fields, or as pickle would store them. ``unknown`` finds those that have no such content.
 
     Example:
         >>> described({"mass": 1.0, "times": (1, 2)})

@@ -119,7 +119,7 @@ class Store:
             )
 
     def _unreadable(self, layout: "Layout") -> list[str]:
-        """Arrays whose metadata are missing, damaged, or not those of the configuration."""
+        """Arrays whose metadata are missing, damaged, or of another configuration."""
         zarr = extra("zarr")
         try:
             group = zarr.open_group(f"{self.address}/{DATA}", mode="r")

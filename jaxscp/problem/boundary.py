@@ -69,7 +69,7 @@ class EndCondition(eqx.Module):
 class CoupledEnds(eqx.Module):
     """``function(first, last, time, parameters) = 0``: a condition on the states of both ends and the final time.
 
-    Arguments are those of ``EndCondition``. The first state becomes a static state, so that stages stay a chain.
+    Arguments are as of ``EndCondition``. The first state becomes a static state, so that stages stay a chain.
     """
 
     function: Callable[..., Any] = eqx.field(static=True)

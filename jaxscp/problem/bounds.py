@@ -89,7 +89,7 @@ def bounds(state: Any = None, control: Any = None, name: str = "") -> Constraint
 
 
 def control_bounds(constraint: Constraint) -> Iterator[tuple[Side, Array]]:
-    """The limits of controls among those of ``bounds``; none for another constraint."""
+    """The limits of controls that ``bounds`` states; none for another constraint."""
     if isinstance(constraint.function, WithinBounds):
         for side, limit in zip(constraint.function.sides, constraint.parameters, strict=True):
             if side.of_control:

@@ -14,7 +14,7 @@ class Scale(eqx.Module):
         state: size of each state.
         control: size of each control.
         time: size of the final time, s.
-        cost: size of the cost; by default that of the guess.
+        cost: size of the cost; by default the guess's cost.
 
     Example:
         >>> import jaxscp

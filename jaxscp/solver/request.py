@@ -51,7 +51,7 @@ class Request(eqx.Module):
         return jnp.zeros((), bool)
 
     def without_passed(self, context: Any, interval: Any, time: Any) -> tuple["Request", Any]:
-        """All of it: the problem says what is left."""
+        """All of it: the problem says where it starts."""
         return self, context
 
     def in_solver_units(self, form: Form) -> tuple["Request", None]:

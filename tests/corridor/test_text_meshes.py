@@ -1,4 +1,4 @@
-"""Meshes in text: faces, lines and vertices of .obj and .off, and what is wrong with them."""
+"""Meshes in text: faces, lines and vertices of .obj and .off, and faults in them."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Damaged folders: the same sweep repairs them, or an error says what is damaged, and its advice is true."""
+"""Damaged folders: the same sweep repairs them, or an error names the damage, and its advice is true."""
 
 import json
 import shutil

@@ -27,7 +27,7 @@ CAR_NODES = 30
 # Relative. First-order hold cannot jump from +a to -a: with the mesh free, it does so over the shortest interval that
 # the dilation's lower bound allows.
 SWITCH = 2e-4
-BARRIER = 1e-6  # relative: every limit, those of the dilation too, is relaxed by 1e-6 and then kept 1e-6 away
+BARRIER = 1e-6  # relative: every limit, also of the dilation, is relaxed by 1e-6 and then kept 1e-6 away
 STRAIGHT = 1e-5  # m/s^2: ten times that, since the energy hardly depends on it
 FLAT = 1e-3  # relative: a final time that misses the best one by so much costs only the square of that
 # Relative. The Dubins path turns in jumps, which first-order hold cannot, and a margin is kept between the nodes.

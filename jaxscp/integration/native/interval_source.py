@@ -80,7 +80,7 @@ class Source:
         }
 
     def _stored_arrays(self) -> Shapes:
-        """Arrays that the first kernel stores for the second: names and shapes; those of higher orders are empty."""
+        """Arrays that the first kernel stores for the second: names and shapes; arrays of higher orders are empty."""
         intervals, arguments = self.intervals, self.tapes.rate.arguments
         slopes = intervals.steps * intervals.method.stages
         values = {"values": (intervals.points * self.tapes.point.values,)}
