@@ -173,7 +173,7 @@ class ConicSolution(eqx.Module):
 
 
 def served_by(solver: "ConicSolver", program: StagedProgram) -> Int[Array, ""]:
-    """Index into ``BACKENDS`` of the implementation that a solver runs for a program. A solver without ``served_by`` has "other"."""
+    """Index into ``BACKENDS`` of a solver's implementation for a program; "other" for one without ``served_by``."""
     says = getattr(solver, "served_by", None)
     return index_of("other") if says is None else says(program)
 

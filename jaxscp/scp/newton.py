@@ -4,8 +4,9 @@ An iteration has five parts, each in a file of its name:
 
 - ``convex_model``: the cost, with a convexified Hessian and a proximal term;
 - ``subproblem``: the convex program, with path constraints inside every interval, solved;
-- ``line_search``: fractions of the step, each with a second-order correction;
-- ``acceptance``: the step is accepted if an augmented Lagrangian falls below the worst of the last few points;
+- ``line_search``: fractions of the step, each with a second-order correction, until an augmented Lagrangian falls below
+  the worst of the last few points;
+- ``acceptance``: the step is accepted if it did, or if the predicted decrease is rounding; then the proximal weight;
 - ``convergence``: the optimality conditions, tested.
 
 At the end an interior point on the nonlinear problem goes on to the optimum.

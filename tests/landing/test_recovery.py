@@ -1,4 +1,4 @@
-"""Recovery: a limit that a start breaks is loosened by twice as much, in the first intervals alone; nothing else changes."""
+"""Recovery: a limit that a start breaks is loosened by twice as much, in the first intervals alone."""
 
 import dataclasses
 

@@ -8,7 +8,8 @@ struct HessianTiles {
                        kOwn = (kPairs + kWarps - 1) / kWarps;  // tiles of a warp
   double sums[kOwn][2] = {};
 
-  // Adds the products of left(row)[i] and right[row][j] over all rows, by all threads of the block.
+  // Adds the products of left(row)[i] and right[row][j] over all rows, by all threads of the block. The caller waits
+  // for the block before and after. Columns beyond the last input may hold anything.
   template <int kRows, typename Left>
   void add(Left left, const double (*right)[kRow]) {
     const int lane = threadIdx.x % 32;

@@ -28,12 +28,12 @@ constexpr int output_of(int instance, int e) {
          e % Group::kSize;
 }
 
-// Of the numbers of so many intervals: whole blocks of ``paths.cu``.
+// Stride of the numbers of so many intervals: whole blocks of ``paths.cu``.
 inline long long stride_of(long long count) { return (count + kPathThreads - 1) / kPathThreads * kPathThreads; }
 
 // Entries of the derivatives of a slope: first ones, then second ones. Those of an interval's slopes follow each other.
 constexpr int kSecondAt = even(Rate::kMostEntries);
-static_assert(kSecondAt + even(Rate::kMostSecond) == kSlopeEntries);
+static_assert(kSecondAt + even(Rate::kMostSecond) == kSlopeEntries && kSlopeEntries % 2 == 0);
 
 inline double fraction_of(int step, int stage) { return kSize * (step + kC[stage]); }
 inline double fraction_of(int point) { return point * (1.0 / (kPoints - 1)); }

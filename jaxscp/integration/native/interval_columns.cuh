@@ -1,7 +1,7 @@
 // Columns of the tangents and the Hessian, in the steps of ``tangents.h``.
 //
-// A column, that of one input, belongs to one thread, which has the column's tangents in registers. Threads beyond the
-// last column repeat it. The Hessian is a sum of products S' H S, by tensor cores: S and H S are exchanged between the
+// A column, of one input, belongs to one thread, which has the column's tangents in registers. Threads beyond the last
+// column repeat it: they write equal numbers to the same places. The Hessian is a sum of products S' H S, by tensor cores: S and H S are exchanged between the
 // columns in shared memory.
 #pragma once
 
@@ -48,10 +48,11 @@ inline void read_slope_entries(const Interval& at, int step) {
   __syncthreads();
 }
 
-// A thread's column: tangents of the path, and the Hessian's rows of the controls, which need no exchange.
+// A thread's column: tangents of the path, and what the controls, as arguments, add to the Hessian's column: that needs
+// no exchange. The tiles are the thread's share of the whole Hessian.
 struct Column {
   int input;
-  double path[kExtended] = {}, of_controls[2 * kControls] = {};
+  double path[kExtended] = {}, of_controls[2 * kControls + 1] = {};  // at least one number
   HessianTiles hessian;
 
   // Tangents of the controls at a fraction of the interval, after those of the states.

@@ -71,14 +71,14 @@ struct Path {
     evaluate_point(0);
 #pragma unroll 1
     for (int step = 0; step < kSteps; ++step) {
-      double slopes[kStages][kExtended];
+      double rates[kStages][kExtended];
 #pragma unroll 1
       for (int stage = 0; stage < kStages; ++stage) {
         double arguments[kArguments];
         for (int r = 0; r < kStates; ++r) arguments[r] = state[r];
 #pragma unroll 1
         for (int j = 0; j < stage; ++j)
-          for (int r = 0; r < kStates; ++r) arguments[r] = fma(kSize * kA[stage][j], slopes[j][r], arguments[r]);
+          for (int r = 0; r < kStates; ++r) arguments[r] = fma(kSize * kA[stage][j], rates[j][r], arguments[r]);
         write_controls(fraction_of(step, stage), arguments);
         if constexpr (kOrder > 1)
           for (int k = 0; k < kArguments; ++k)
@@ -87,11 +87,11 @@ struct Path {
           Rate::jacobian(arguments, nullptr, hoisted, entries());
           store_slope(step * kStages + stage);
         }
-        Rate::values(arguments, nullptr, hoisted, slopes[stage]);
+        Rate::values(arguments, nullptr, hoisted, rates[stage]);
       }
 #pragma unroll 1
       for (int j = 0; j < kStages; ++j)
-        for (int r = 0; r < kExtended; ++r) state[r] = fma(kSize * kB[j], slopes[j][r], state[r]);
+        for (int r = 0; r < kExtended; ++r) state[r] = fma(kSize * kB[j], rates[j][r], state[r]);
       if ((step + 1) % kStepsPerSubinterval == 0) evaluate_point((step + 1) / kStepsPerSubinterval);
     }
   }

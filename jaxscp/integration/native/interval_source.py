@@ -38,6 +38,8 @@ class Source:
         self.intervals, self.tapes, self.inputs, self.order = intervals, tapes, inputs, order
         groups = intervals.path_outputs.groups
         self.groups = [_Group(g, f) for g, f in zip(groups, tapes.margins, strict=True)]
+        if (rows := sum(group.rows for group in groups)) != tapes.point.values:
+            raise ValueError(f"path outputs: groups of {rows} rows, but {tapes.point.values} at a point")
         self.row = -(-inputs // SQUARE) * SQUARE + BANK_SHIFT
         self.stored_arrays, self.shared_arrays = self._stored_arrays(), self._shared_arrays()
         common = "\n".join(self._lines())
@@ -45,7 +47,7 @@ class Source:
 
     @property
     def stored(self) -> int:
-        """Numbers of an interval that the first kernel stores for the second, but for the slopes'."""
+        """Numbers of an interval that the first kernel stores for itself and the second, but for the slopes'."""
         return sum(int(np.prod(shape)) for shape in self.stored_arrays.values())
 
     @property
@@ -103,7 +105,7 @@ class Source:
     def _shared_arrays(self) -> dict[str, Shapes]:
         """Arrays in shared memory, in three uses that follow each other: names and shapes.
 
-        Rows have an even length, so that the compiler loads two numbers at once.
+        Rows have an even length, as two numbers are loaded at once.
         """
         tapes, stages, row = self.tapes, self.intervals.method.stages, self.row
         of_order = {1: self._entries(1), 2: self._entries(2)}
