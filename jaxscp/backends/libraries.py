@@ -8,6 +8,7 @@ Headers shared by all of them are in ``native/``:
     runs_here.cc    check of this machine's instruction set; digest of the sources
     parallel_for.h  loops over XLA's thread pool
     tensor_cores.h  products of small matrices, on a GPU
+    dynamic_memory.cuh  shared memory of a block of threads on a GPU
     driver.h        NVIDIA's driver, which launches kernels; ``cuda.py`` compiles those
     launch.h        launch of a kernel with any arguments and results; ``launch.py`` calls it
 """

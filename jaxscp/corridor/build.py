@@ -24,6 +24,7 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
+from jaxscp.core.arrays import is_number
 from jaxscp.core.obstacles import Obstacles
 from jaxscp.corridor.cells import cells_along
 from jaxscp.corridor.clouds import PointCloud
@@ -226,7 +227,7 @@ def _point(name: str, value: Triple) -> Float[np.ndarray, "3"]:
 
 
 def _distance(name: str, value: Any) -> float:
-    if isinstance(value, str) or np.ndim(value):
+    if not is_number(value):
         raise ValueError(f"{name} must be one number in metres, got {value!r}")
     return value
 

@@ -18,7 +18,7 @@ struct HessianTiles {
       const int row = first + lane % 4;
       const bool there = first + 4 <= kRows || row < kRows;
       const double *of_left = left(there ? row : 0), *of_right = right[there ? row : 0];
-      for_own([&](double(&sum)[2], int s, int t) {
+      for_own(sums, [&](double(&sum)[2], int s, int t) {
         const double a = of_left[8 * s + lane / 4], b = of_right[8 * t + lane / 4];
         jaxscp::add_products(sum, there ? a : 0.0, there ? b : 0.0);
       });
@@ -28,7 +28,7 @@ struct HessianTiles {
   // Writes the lower triangle.
   void write_lower(double (*to)[kRow]) const {
     const int lane = threadIdx.x % 32;
-    const_cast<HessianTiles*>(this)->for_own([&](const double(&sum)[2], int s, int t) {
+    for_own(sums, [&](const double(&sum)[2], int s, int t) {
 #pragma unroll
       for (int e = 0; e < 2; ++e)
         if (const int i = 8 * s + lane / 4, j = 8 * t + lane % 4 * 2 + e; i < kInputs && j <= i) to[i][j] = sum[e];
@@ -36,9 +36,9 @@ struct HessianTiles {
   }
 
  private:
-  // Acts on the warp's tiles (s, t), t <= s.
-  template <typename Act>
-  void for_own(Act act) {
+  // Acts on the warp's tiles (s, t), t <= s, and their sums.
+  template <typename Sums, typename Act>
+  static void for_own(Sums& sums, Act act) {
 #pragma unroll
     for (int k = 0; k < kOwn; ++k) {
       const int pair = k * kWarps + (kWarps > 1 ? threadIdx.x / 32 : 0);

@@ -1,8 +1,8 @@
 // Columns of the tangents and the Hessian, in the steps of ``tangents.h``.
 //
 // A column, of one input, belongs to one thread, which has the column's tangents in registers. Threads beyond the last
-// column repeat it: they write equal numbers to the same places. The Hessian is a sum of products S' H S, by tensor cores: S and H S are exchanged between the
-// columns in shared memory.
+// column repeat it: they write equal numbers to the same places. The Hessian is a sum of products S' H S, by tensor
+// cores: S and H S are exchanged between the columns in shared memory.
 #pragma once
 
 #include "hessian_tiles.cuh"
@@ -118,7 +118,8 @@ struct Column {
         if (const int row = needed_row(r); row >= 0) m.slope_tangents[stage][row][input] = slope[r];
 #pragma unroll
     for (int r = 0; r < kExtended; ++r) end[r] = fma(kSize * kB[stage], slope[r], end[r]);
-    if constexpr (kOrder > 1) add_curvature<Rate>(m, m.slope_entries[stage] + kSecondAt, fraction_of(step, stage), tangent);
+    if constexpr (kOrder > 1)
+      add_curvature<Rate>(m, m.slope_entries[stage] + kSecondAt, fraction_of(step, stage), tangent);
   }
 
   void integrate(const Interval& at) {

@@ -147,7 +147,8 @@ struct Path {
                    stored + (kPointSecondAt + point * Point::kSecond));
   }
 
-  // Adjoints of the values and of the slopes, and the slopes' second derivatives, backwards from the multipliers of the outputs.
+  // Adjoints of the values and of the slopes, and the slopes' second derivatives, backwards from the multipliers of the
+  // outputs.
   void find_adjoints() {
     find_value_adjoints();
     for (int r = 0; r < kStates; ++r) state_adjoint[r] = multipliers[r];

@@ -79,7 +79,7 @@ def _kernel(
     name: str, threads: int, shared: int, sizes: Sizes, capability: str, macros: dict[str, object]
 ) -> launch.Kernel | None:
     text, all_macros = (FOLDER / f"{name}.cu").read_text(), sizes.macros(threads) | macros
-    cubin = launch.cubin(text, capability, "the Riccati recursion", (FOLDER,), **all_macros)
+    cubin = launch.cubin(text, capability, "the Riccati recursion", (FOLDER, libraries.HEADERS), **all_macros)
     if cubin is None:
         return None
     return launch.Kernel(LIBRARY.on_gpu, cubin, threads, threads, axes=3, shared=shared)

@@ -226,7 +226,7 @@ extern "C" __global__ void __launch_bounds__(kThreads)
                   const double* __restrict__ flow_rhs, const double* __restrict__ initial_rhs,
                   const double* __restrict__ final_rhs, double* __restrict__ to_nodes, double* __restrict__ to_flow,
                   double* __restrict__ to_initial, double* __restrict__ to_final, long long, long long) {
-  double* memory = shared_memory<sizeof(Memory)>();
+  double* memory = dynamic_memory<sizeof(Memory)>();
   Memory& m = *reinterpret_cast<Memory*>(memory);
   const long long p = blockIdx.x;
   const System system{hessian + p * kIntervals * kInputs * kInputs,   last + p * kStage * kStage,
