@@ -20,9 +20,9 @@ SHARED = Path("jaxscp/backends/native")
 SOURCES = Path("jaxscp/backends/sources.py")
 LIBRARIES = {  # stem: sources compiled for each instruction set, sources compiled once for any
     Path("jaxscp/conic/native/interior_point"): (("handler",), ("gpu_handler",)),
-    Path("jaxscp/linalg/gram/native/gram"): (("handler",), ()),
+    Path("jaxscp/linalg/gram/native/gram"): (("handler",), ("gpu_handler",)),
     Path("jaxscp/linalg/riccati/native/riccati"): (("handler",), ("gpu_handler",)),
-    Path("jaxscp/linalg/eigen/native/eigen"): (("handler",), ()),
+    Path("jaxscp/linalg/eigen/native/eigen"): (("handler",), ("gpu_handler",)),
     Path("jaxscp/integration/native/integration"): (("handler",), ("gpu_handler",)),
 }
 X86 = {

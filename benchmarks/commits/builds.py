@@ -121,7 +121,10 @@ def _check_out(name: str, source: Path) -> None:
         archive = source.with_suffix(".tar")
         _git("archive", "--format=tar", f"--output={archive}", name)
         with tarfile.open(archive) as tar:
-            tar.extractall(source, filter="data")
+            if hasattr(tarfile, "data_filter"):  # from Python 3.11.4 on
+                tar.extractall(source, filter="data")
+            else:
+                tar.extractall(source)
         archive.unlink()
         return
     for file in _git("ls-files", "-z", "--cached", "--others", "--exclude-standard").split("\0"):

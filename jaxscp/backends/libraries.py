@@ -110,13 +110,17 @@ INTERIOR_POINT = Library(
     ("jaxscp_interior_point",),
     "jaxscp_interior_point_on_gpu",
 )
-GRAM = Library(_PACKAGE / "linalg/gram/native/gram", ("jaxscp_gram",))
+GRAM = Library(_PACKAGE / "linalg/gram/native/gram", ("jaxscp_gram",), "jaxscp_gram_on_gpu")
 RICCATI = Library(
     _PACKAGE / "linalg/riccati/native/riccati",
     ("jaxscp_riccati_factor", "jaxscp_riccati_solve"),
     "jaxscp_riccati_on_gpu",
 )
-EIGEN = Library(_PACKAGE / "linalg/eigen/native/eigen", ("jaxscp_nearest_semidefinite", "jaxscp_eigen"))
+EIGEN = Library(
+    _PACKAGE / "linalg/eigen/native/eigen",
+    ("jaxscp_nearest_semidefinite", "jaxscp_eigen"),
+    "jaxscp_eigen_on_gpu",
+)
 INTEGRATION = Library(
     _PACKAGE / "integration/native/integration", ("jaxscp_integrate",), "jaxscp_integrate_on_gpu"
 )

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxscp.linalg.eigen import in_jax, native
-from jaxscp.linalg.eigen.dispatch import eigen, nearest
+from jaxscp.linalg.eigen import dispatch, in_jax, native
+from jaxscp.linalg.eigen.dispatch import nearest
 from jaxscp.linalg.eigen.pseudo_inverse import pseudo_inverse
 
 ROUNDING = 1e-13  # relative to the largest entry: hundreds of rotations, each to 1e-16
@@ -27,15 +27,16 @@ def with_eigenvalues(seed, values):
     return vectors * values @ vectors.T
 
 
-def assert_nearest(matrices):
-    found, least = nearest(matrices)
+def assert_nearest(matrices, by=dispatch):
+    """``by``: the module whose functions find them."""
+    found, least = by.nearest(matrices)
     values, vectors = np.linalg.eigh(matrices)
     expected = vectors * np.maximum(values, 0.0)[:, None, :] @ np.swapaxes(vectors, 1, 2)
     size = np.maximum(np.max(np.abs(matrices), axis=(1, 2)), 1e-300)
     np.testing.assert_allclose(found / size[:, None, None], expected / size[:, None, None], atol=ROUNDING)
     np.testing.assert_allclose(least / size, values[:, 0] / size, atol=ROUNDING)
     np.testing.assert_array_equal(found, np.swapaxes(found, 1, 2))
-    ours, columns = map(np.asarray, eigen(matrices))
+    ours, columns = map(np.asarray, by.eigen(matrices))
     np.testing.assert_allclose(np.sort(ours) / size[:, None], values / size[:, None], atol=ROUNDING)
     eye = np.broadcast_to(np.eye(matrices.shape[1]), matrices.shape)
     np.testing.assert_allclose(np.swapaxes(columns, 1, 2) @ columns, eye, atol=ROUNDING)

@@ -12,7 +12,7 @@ from jaxscp.linalg import riccati
 from jaxscp.linalg.riccati import in_jax, recursion
 from jaxscp.linalg.riccati.native import gpu
 from tests.linalg.test_riccati import random_lq, random_vector
-from tests.support.kernels import as_on_a_gpu, compiled, handler, needs_compiler, needs_nvidia
+from tests.support.kernels import as_on_a_gpu, kernels_here, needs_compiler, needs_nvidia
 
 SHIFTS = riccati.Shifts(growth=8.0, most=1e4)
 ROUNDING, UNREFINED = 1e-9, 1e-7  # relative; without refinement, penalties raise the condition number
@@ -21,16 +21,7 @@ ROUNDING, UNREFINED = 1e-9, 1e-7  # relative; without refinement, penalties rais
 @pytest.fixture
 def emulated(tmp_path, monkeypatch):
     """Kernels on a CPU in place of those of a GPU."""
-
-    def cubin(text, capability, owner, folders, **macros):
-        folder = tmp_path / f"{len(list(tmp_path.iterdir()))}"
-        folder.mkdir()
-        return compiled(text, folder, "warps_on_a_cpu.h", folders, **macros)
-
-    monkeypatch.setattr(launch, "cubin", cubin)
-    monkeypatch.setattr(gpu, "LIBRARY", gpu.LIBRARY._replace(on_gpu=handler()))
-    monkeypatch.setattr(gpu.cuda, "capability", lambda: "90")
-    monkeypatch.setattr(gpu, "supports", lambda _: False)  # what is expected comes from JAX and C++
+    kernels_here(gpu, tmp_path, monkeypatch)
 
 
 def assert_close(expected, found, tolerance=ROUNDING):

@@ -25,4 +25,6 @@ static Index threadIdx, blockIdx, blockDim;
 alignas(16) static double emulated_memory[1 << 15];
 
 static double __ldg(const double* at) { return *at; }
+static double rsqrt(double v) { return 1.0 / std::sqrt(v); }
+static int __clz(int v) { return v == 0 ? 32 : __builtin_clz(v); }
 using std::cos, std::exp, std::fabs, std::fma, std::log, std::sin, std::sqrt, std::tanh;

@@ -116,6 +116,11 @@ inline bool __any_sync(unsigned, bool v) {
   for (int mask = 1; mask < emulated::kWarpSize; mask *= 2) v |= __shfl_xor_sync(0, v, mask) != 0.0;
   return v;
 }
+inline unsigned __ballot_sync(unsigned, bool v) {
+  unsigned all = 0;
+  for (int lane = 0; lane < emulated::kWarpSize; ++lane) all |= (exchanged(v, lane) != 0.0 ? 1u : 0u) << lane;
+  return all;
+}
 inline unsigned long long atomicAdd(unsigned long long* at, unsigned long long by) {
   unsigned long long before = *at;
   *at += by;

@@ -49,6 +49,20 @@ def compiled(
     return str(library).encode()
 
 
+def kernels_here(module, folder: Path, monkeypatch) -> None:
+    """Let a ``native.gpu`` module run its kernels on this CPU, by threads that wait for each other."""
+
+    def cubin(text, capability, owner, folders=(), **macros):
+        own = folder / f"{len(list(folder.iterdir()))}"
+        own.mkdir()
+        return compiled(text, own, "warps_on_a_cpu.h", folders, **macros)
+
+    monkeypatch.setattr(launch, "cubin", cubin)
+    monkeypatch.setattr(module, "LIBRARY", module.LIBRARY._replace(on_gpu=handler()))
+    monkeypatch.setattr(cuda, "capability", lambda: "90")
+    monkeypatch.setattr(module, "supports", lambda _: False)  # what is expected comes from JAX and C++
+
+
 def as_on_a_gpu(monkeypatch) -> None:
     """Trace as on a machine with a GPU, where every kernel compiles."""
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")

@@ -1,13 +1,15 @@
-"""Eigenvalues and nearest semidefinite matrices: in C++ for float64 on a CPU if compiled, else in JAX.
+"""Eigenvalues and nearest semidefinite matrices for float64: in C++ on a CPU if compiled, in a kernel on an NVIDIA GPU;
+else in JAX.
 
 LAPACK takes one small matrix after another, and spends most of the time outside of the arithmetic. The C++ takes one
-matrix in each lane of a register.
+matrix in each lane of a register, the kernel one in each warp.
 """
 
 from jaxtyping import Array, Float
 
 from jaxscp.backends.libraries import dispatch, in_float64
 from jaxscp.linalg.eigen import in_jax, native
+from jaxscp.linalg.eigen.native import gpu
 
 
 def nearest(
@@ -18,7 +20,7 @@ def nearest(
     Results are NaN for a matrix with entries that are not finite, and for no other.
     """
     cpu = native.nearest if _compiled(matrices) else None
-    return dispatch(cpu, in_jax.nearest, matrices)
+    return dispatch(cpu, in_jax.nearest, matrices, cuda=gpu.nearest if gpu.supports(matrices) else None)
 
 
 def eigen(
@@ -29,7 +31,7 @@ def eigen(
     Results are NaN for a matrix with entries that are not finite, and for no other.
     """
     cpu = native.eigen if _compiled(matrices) else None
-    return dispatch(cpu, in_jax.eigen, matrices)
+    return dispatch(cpu, in_jax.eigen, matrices, cuda=gpu.eigen if gpu.supports(matrices) else None)
 
 
 def _compiled(matrices: Array) -> bool:

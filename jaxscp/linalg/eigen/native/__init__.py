@@ -1,9 +1,11 @@
-"""Eigenvalues and nearest semidefinite matrices in C++, compiled for this machine.
+"""Eigenvalues and nearest semidefinite matrices in C++, compiled for this machine, and in CUDA.
 
 In the order in which the files build on each other (``backends/native/pack.h`` has the registers):
 
     eigen.h       eigenvalues and vectors of several symmetric matrices at once
-    handler.cc    XLA FFI handlers
+    handler.cc    XLA FFI handlers on a CPU
+    eigen.cu      the same, one matrix by each warp; ``gpu.py`` compiles it for the size of a matrix
+    gpu_handler.cc    XLA FFI handler that launches it
 """
 
 import jax

@@ -1,9 +1,11 @@
-"""Gram matrices in C++, compiled for this machine.
+"""Gram matrices in C++, compiled for this machine, and in CUDA.
 
 In the order in which the files build on each other (``backends/native/dense.h`` has the products):
 
     gram.h        sums at one location
-    handler.cc    XLA FFI handler
+    handler.cc    XLA FFI handler on a CPU
+    gram.cu       the same by a warp; ``gpu.py`` compiles it for the sizes of the constraints
+    gpu_handler.cc    XLA FFI handler that launches it
 """
 
 import jax

@@ -1,0 +1,5 @@
+// XLA FFI handler on an NVIDIA GPU.
+
+#include "launch.h"
+
+JAXSCP_HANDLER(jaxscp_eigen_on_gpu, jaxscp::launch);
