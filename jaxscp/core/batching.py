@@ -31,6 +31,9 @@ CHUNK: dict[str, Chunks] = {"cpu": ALONE}
 CHUNK_ELSEWHERE: Chunks = (2048,)
 # For long loops: after most elements have ended, a step of the few others must not take as long as one of all.
 CHUNK_OF_LONG_LOOPS: Chunks = 512, 64
+# For subproblems: the kernel that solves a chunk has as many blocks as fit on the GPU, and a block that ends a program
+# takes the next one. So a large chunk waits for few slow programs.
+CHUNK_OF_SUBPROBLEMS: Chunks = 4096, 512
 # For loops around long loops: each chunk waits for its slowest element, so chunks are few.
 CHUNK_AROUND_LOOPS: Chunks = (4096,)
 FEW = 2  # small chunks that take no longer than a large one with as many unfinished elements

@@ -199,7 +199,7 @@ class NewtonSCP(NewtonSettings):
                 lambda fixed, s: self.step(fixed[0], s, fixed[1]),
                 (problem, tolerance_factor),
                 state,
-                batching.CHUNK_OF_LONG_LOOPS,
+                batching.CHUNK_OF_SUBPROBLEMS,
             )
             return self.switch_to_interior_point(problem, state, usual_dilation), None
 

@@ -1,5 +1,6 @@
 """Any number of scenarios by one compiled program: on the threads of a CPU, or batch by batch on other devices."""
 
+import functools
 import itertools
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, NamedTuple
@@ -69,7 +70,8 @@ class _Inputs(NamedTuple):
 
     like: Any
     """Inputs of one scenario, of ``jax.ShapeDtypeStruct``."""
-    elements: Iterable[Leaves]
+    chunks: Callable[[int], Iterable[Leaves]]
+    """From a size, all scenarios in chunks of that size or fewer, stacked."""
     total: int | None
     """Number of scenarios; None if not known."""
 
@@ -103,21 +105,20 @@ def solve_many(
     program = pipeline.program(inputs.like, axis, how.devices)
     tree = jax.tree.structure(inputs.like)
 
-    def run(chunk: list[Leaves]) -> tuple[int, Any]:
+    def run(chunk: Leaves) -> tuple[int, Any]:
+        count = len(chunk[0])
         if axis is None:
-            found = jax.tree.map(
-                lambda v: v[None], jax.device_get(program(jax.tree.unflatten(tree, chunk[0])))
-            )
+            one = [np.asarray(v[0]) for v in chunk]
+            found = jax.tree.map(lambda v: v[None], jax.device_get(program(jax.tree.unflatten(tree, one))))
         else:
-            padded = chunk + chunk[-1:] * (axis - len(chunk))
-            stacked = [np.stack(leaves) for leaves in zip(*padded, strict=True)]
-            found = jax.device_get(program(jax.tree.unflatten(tree, stacked)))
-            found = jax.tree.map(lambda v: v[: len(chunk)], found)
-        return len(chunk), found if keep is None else keep(found)
+            full = [_padded(v, axis) for v in chunk]
+            found = jax.device_get(program(jax.tree.unflatten(tree, full)))
+            found = jax.tree.map(lambda v: v[:count], found)
+        return count, found if keep is None else keep(found)
 
     parts, done = [], 0
     in_flight = None if axis is None else 2 * how.threads()  # a batch is large
-    for count, part in in_order(run, _chunks(inputs.elements, axis or 1), how.threads(), in_flight):
+    for count, part in in_order(run, inputs.chunks(axis or 1), how.threads(), in_flight):
         parts.append(part)
         done += count
         if progress is not None:
@@ -125,10 +126,16 @@ def solve_many(
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
 
 
-def _chunks(elements: Iterable[Leaves], size: int) -> Iterator[list[Leaves]]:
+def _padded(v: np.ndarray, size: int) -> np.ndarray:
+    """The array with its last entry repeated up to a size."""
+    return v if len(v) == size else np.concatenate([v, np.repeat(v[-1:], size - len(v), axis=0)])
+
+
+def _stacked(elements: Iterable[Leaves], size: int) -> Iterator[Leaves]:
+    """Chunks of leaves of one scenario each."""
     rest = iter(elements)
     while chunk := list(itertools.islice(rest, size)):
-        yield chunk
+        yield [np.stack(leaves) for leaves in zip(*chunk, strict=True)]
 
 
 def _inputs(pipeline: Pipeline, scenarios: Any) -> _Inputs:
@@ -147,7 +154,8 @@ def _inputs(pipeline: Pipeline, scenarios: Any) -> _Inputs:
     pipeline.check_shapes(first)  # of values, the status tells
     like = jax.tree.map(_shape_of, first.solver_inputs())
     total = len(scenarios) if hasattr(scenarios, "__len__") else None  # pyright: ignore[reportArgumentType]
-    return _Inputs(like, _of_each(like, itertools.chain([first], rest)), total)
+    elements = _of_each(like, itertools.chain([first], rest))
+    return _Inputs(like, functools.partial(_stacked, elements), total)
 
 
 def _of_stack(pipeline: Pipeline, scenarios: Any) -> _Inputs:
@@ -163,8 +171,11 @@ def _of_stack(pipeline: Pipeline, scenarios: Any) -> _Inputs:
         raise InvalidScenario(f"scenarios.{error}") from error
     pipeline.check(one)
     arrays = jax.device_get(jax.tree.leaves(stack.solver_inputs()))
-    elements = ([np.asarray(v[i]) for v in arrays] for i in range(size))
-    return _Inputs(one.solver_inputs(), elements, size)
+
+    def chunks(most: int) -> Iterator[Leaves]:
+        return ([v[i : i + most] for v in arrays] for i in range(0, size, most))
+
+    return _Inputs(one.solver_inputs(), chunks, size)
 
 
 def _of_each(like: Any, scenarios: Iterable[Any]) -> Iterator[Leaves]:
