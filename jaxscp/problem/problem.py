@@ -29,7 +29,7 @@ class OptimalControlProblem(eqx.Module):
         boundary: conditions at both ends.
         time: nodes, and free or fixed final time.
         constraints: along the trajectory.
-        scale: typical sizes of all quantities; None is one for each.
+        scale: typical sizes of all quantities; None takes them from guess, limits and dynamics.
         checks: constraints that the certificate alone judges: the solver does not know them.
         zero_order_hold: numbers of the controls that are constant over each interval, with their value at its first
             node; the others are linear in scaled time between nodes.

@@ -1,4 +1,4 @@
-"""Typical sizes of a problem's quantities: the solver works in these units."""
+"""Typical sizes of a problem's quantities, as the user states them: the solver works in these units."""
 
 import equinox as eqx
 from jaxtyping import Array, Float
@@ -10,11 +10,14 @@ from jaxscp.core.types import Scalar
 class Scale(eqx.Module):
     """Typical sizes, in the user's own units; a solver's variables are quotients by them.
 
+    A problem needs none, unless the sizes that are taken from its guess, limits and dynamics are wrong by much.
+
     Args:
         state: size of each state.
         control: size of each control.
         time: size of the final time, s.
-        cost: size of the cost; by default the guess's cost.
+        cost: how much the cost changes; by default the guess's cost, which is too large if most of it is a constant.
+            The barrier moves the optimal cost by about a millionth of this for each limit that binds.
 
     Example:
         >>> import jaxscp

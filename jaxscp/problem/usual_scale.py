@@ -1,0 +1,160 @@
+"""Typical sizes of a problem that states none, from its guess, its limits and its dynamics.
+
+A solver's barrier, tolerances and weights suit numbers of about one. So sizes from 1/30 to 30 count as one, and others
+are rounded to powers of ten: the same problem in other units is then the same numbers, and a small change of a problem
+changes no size.
+
+What is known: a variable's range over the guess, and a control's distance from its limits. The rest lies between two
+bounds. A state cannot move further than its rate carries it in the whole time; and a variable that alone moves another
+one must be large enough to do so in that time.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxscp.core.types import Scalar
+from jaxscp.problem.cost import Cost
+from jaxscp.problem.problem import OptimalControlProblem
+from jaxscp.problem.scale import Scale
+from jaxscp.problem.time import FreeTime
+from jaxscp.problem.trajectory import Trajectory
+
+ABOUT_ONE = 30.0  # sizes up to this, and down to its inverse, count as one
+OVERSTATED = 3.0  # a change of the cost is the sum of the changes by all variables, as if none cancelled
+
+
+def usual_scale(problem: OptimalControlProblem, guess: Trajectory) -> Scale:
+    """Sizes of states, controls, time and cost; without derivatives.
+
+    Args:
+        problem: of ``canonical``.
+        guess: to measure them at.
+    """
+    problem, guess = jax.lax.stop_gradient((problem, guess))
+    time, states = guess.time[-1], guess.state.shape[1]
+    sizes = _sizes(problem, guess, time)
+    cost = _change_of_cost(problem, guess, sizes)
+    return Scale(
+        state=_rounded(sizes[:states]),
+        control=_rounded(sizes[states:]),
+        time=_rounded(time),
+        cost=_rounded_cost(cost),
+    )
+
+
+def _sizes(problem: OptimalControlProblem, guess: Trajectory, time: Scalar) -> Float[Array, "variables"]:
+    """Of states and controls, before rounding; the number nearest to one where only bounds are known."""
+    states = guess.state.shape[1]
+    variables = jnp.concatenate([guess.state, guess.control], axis=1)
+    known = jnp.max(variables, axis=0) - jnp.min(variables, axis=0)
+    distance = _distance_from_limits(problem, guess)
+    known = jnp.where(jnp.arange(len(known)) < states, known, jnp.maximum(known, distance))
+    known = jnp.where(jnp.isfinite(known), known, 0.0)
+    rates, slopes = _largest_rates(problem, guess)
+    own, others = time * rates, time * slopes * (1.0 - jnp.eye(states, len(known)))
+    alone = (others > 0.0) & (jnp.sum(others > 0.0, axis=1, keepdims=True) == 1)
+
+    def narrow(_, bounds: tuple[Array, Array]):
+        least, most = bounds
+        reach = own + others @ jnp.where(jnp.isfinite(most), most, 0.0)
+        first = jnp.isinf(most[:states]) & (
+            reach > 0.0
+        )  # estimated once: cycles of states would raise it for ever
+        most = most.at[:states].set(jnp.where(first, reach, most[:states]))
+        needed = jnp.where(alone, least[:states, None] / jnp.where(alone, others, 1.0), 0.0)
+        least = jnp.maximum(least, jnp.max(needed, axis=0, initial=0.0))
+        return jnp.where(known > 0.0, known, least), most
+
+    none = jnp.where(known > 0.0, known, 0.0), jnp.where(known > 0.0, known, jnp.inf)
+    least, most = jax.lax.fori_loop(0, len(known), narrow, none)
+    between = jnp.clip(1.0, least, most)
+    return jnp.where(least > most, jnp.sqrt(least * most), between)
+
+
+def _distance_from_limits(problem: OptimalControlProblem, guess: Trajectory) -> Float[Array, "variables"]:
+    """Largest distance of each variable from a limit of this variable alone, along the guess; zero without one."""
+    found = jnp.zeros(guess.state.shape[1] + guess.control.shape[1])
+    for c in problem.constraints:
+        if c.where.across or c.cone.curved:
+            continue
+        function = c.with_parameters(c.function)
+        nodes = guess.state, guess.control, guess.time, c.node_parameters()
+        values = jax.vmap(function)(*nodes)
+        slopes = jnp.concatenate(jax.vmap(jax.jacfwd(function, argnums=(0, 1)))(*nodes), axis=-1)
+        single = jnp.sum(slopes != 0.0, axis=-1, keepdims=True) == 1
+        distance = jnp.abs(values[..., None] / jnp.where(slopes == 0.0, 1.0, slopes))
+        counts = single & (slopes != 0.0) & jnp.isfinite(distance)
+        found = jnp.maximum(found, jnp.max(jnp.where(counts, distance, 0.0), axis=(0, 1), initial=0.0))
+    return found
+
+
+def _largest_rates(
+    problem: OptimalControlProblem, guess: Trajectory
+) -> tuple[Float[Array, "states"], Float[Array, "states variables"]]:
+    """Largest rates along the guess, and their largest derivatives; infinite or undefined ones count as none."""
+    nodes = guess.state, guess.control, guess.time
+    slopes = jax.vmap(jax.jacfwd(problem.dynamics, argnums=(0, 1)))(*nodes)
+    both = jax.vmap(problem.dynamics)(*nodes), jnp.concatenate(slopes, axis=-1)
+    rates, slopes = (jnp.max(_finite(jnp.abs(v)), axis=0) for v in both)
+    return rates, slopes
+
+
+def _change_of_cost(
+    problem: OptimalControlProblem, guess: Trajectory, sizes: Float[Array, "variables"]
+) -> Scalar:
+    """Change of a guess's cost, if each variable and the time change by their own sizes; one if nothing changes it."""
+    cost, states = problem.cost, guess.state.shape[1]
+    parameters = cost.node_parameters()
+    steps = jnp.concatenate([jnp.diag(sizes), -jnp.diag(sizes)])
+
+    def running(x, u, t, p):
+        rate = lambda step: cost.running_at(x + step[:states], u + step[states:], t, p)  # noqa: E731
+        return _largest_changes(jax.vmap(rate)(steps), cost.running_at(x, u, t, p))
+
+    time = guess.time[-1]
+    change = time * jnp.mean(jax.vmap(running)(guess.state, guess.control, guess.time, parameters))
+    if isinstance(problem.time.final, FreeTime):
+        rates = jax.vmap(cost.running_at)(guess.state, guess.control, guess.time, parameters)
+        change += time * _finite(jnp.abs(jnp.mean(rates)))
+    return _or_one(change + _change_at_the_end(problem, cost, guess, steps[:, :states]))
+
+
+def _change_at_the_end(
+    problem: OptimalControlProblem, cost: Cost, guess: Trajectory, steps: Float[Array, "steps states"]
+) -> Scalar:
+    """Of the terminal cost."""
+    last, time = guess.state[-1], guess.time[-1]
+    parameters = jax.tree.map(lambda v: v[-1], cost.node_parameters())
+    here = cost.terminal_at(last, time, parameters)
+    moved = jax.vmap(lambda step: cost.terminal_at(last + step, time, parameters))(steps)
+    change = _largest_changes(moved, here)
+    if isinstance(problem.time.final, FreeTime):
+        change += _finite(jnp.abs(cost.terminal_at(last, 2.0 * time, parameters) - here))
+    return change
+
+
+def _largest_changes(moved: Float[Array, "steps"], here: Scalar) -> Scalar:
+    """Sum over the variables of the larger change, of a step forth and one back."""
+    changes = _finite(jnp.abs(moved - here)).reshape(2, -1)
+    return jnp.sum(jnp.max(changes, axis=0, initial=0.0))
+
+
+def _finite(v: Array) -> Array:
+    return jnp.where(jnp.isfinite(v), v, 0.0)
+
+
+def _or_one(size: Scalar) -> Scalar:
+    return jnp.where(size > 0.0, size, 1.0)
+
+
+def _rounded(size: Array) -> Array:
+    """The nearest power of ten, or one."""
+    power = 10.0 ** jnp.round(jnp.log10(size))
+    return jnp.where((size > ABOUT_ONE) | (size < 1.0 / ABOUT_ONE), power, 1.0)
+
+
+def _rounded_cost(size: Scalar) -> Scalar:
+    """A power of ten that is rather too small: the barrier moves the optimum by a millionth of this for each limit."""
+    power = 10.0 ** jnp.floor(jnp.log10(size / OVERSTATED))
+    return jnp.where((size >= 1.0) & (size <= ABOUT_ONE), 1.0, power)
