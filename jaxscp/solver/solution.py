@@ -152,20 +152,25 @@ class Solution(eqx.Module):
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         return "\n".join("  ".join(c.rjust(w) for c, w in zip(row, widths, strict=True)) for row in rows)
 
-    def cause(self) -> Any:
+    def cause(self, scenario: Any = None) -> Any:
         """What holds a plan up that did not converge: the worst row of its certificate, and the largest multiplier.
 
         For a problem without a scale, also sizes that differ much. Empty for a converged plan, and for one without
         numbers. Of a batch, an array of texts, one an element.
+
+        Args:
+            scenario: that was planned; of a batch, a stack of them. It tells of a deck that left the corridor.
         """
         if shape := np.shape(self.cost):
-            host = jax.tree.map(np.asarray, self)
+            host = jax.tree.map(np.asarray, (self, scenario))
             elements = (jax.tree.map(lambda v, i=i: v[i], host) for i in np.ndindex(shape))
-            return np.array([element.cause() for element in elements], str).reshape(shape)
+            return np.array([element.cause(asked) for element, asked in elements], str).reshape(shape)
         if status_names(self.status) == "converged" or not np.isfinite(float(self.cost)):
             return ""
         claims_optimum = self.certificate.optimality is not None  # and else nothing between the nodes
         row, found = self.certificate.largest_row(claims_optimum), []
+        if scenario is not None and (hindrance := scenario.hindrance(self.trajectory)):
+            found.append(hindrance)
         if row:
             found.append(f"largest violation: {row}")
         if self.multipliers is not None:
@@ -194,8 +199,12 @@ class Solution(eqx.Module):
             "typical sizes, scale=jaxscp.Scale(state=..., control=..., time=...)"
         ]
 
-    def report(self) -> str:
-        """Status, its likely cause, cost, times, backends and certificate; of a batch, the counts of each status."""
+    def report(self, scenario: Any = None) -> str:
+        """Status, its likely cause, cost, times, backends and certificate; of a batch, the counts of each status.
+
+        Args:
+            scenario: of one solution, as in ``cause``.
+        """
         names = status_names(self.status)
         if isinstance(names, str):
             text = Status[getattr(Status, names)]  # by name: JAX does not know a status of NumPy
@@ -204,7 +213,7 @@ class Solution(eqx.Module):
             lines = [
                 f"{names}: cost {float(self.cost):.6g}, final time {float(self.final_time):.6g}",
                 text,
-                *([cause] if (cause := self.cause()) else []),
+                *([cause] if (cause := self.cause(scenario)) else []),
                 *(["planned anew: no plan was found from the earlier one"] if bool(self.fell_back) else []),
                 *([_NEAR_OPTIMUM] if self._is_near_optimum() else []),
                 *(["starts outside of a wall or a limit, and comes back"] if bool(self.recovers) else []),

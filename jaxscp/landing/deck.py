@@ -1,0 +1,92 @@
+"""A moving deck and the last polytope: when the deck leaves it, and whether a flight can land before."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from jaxscp.landing.mission import Mission
+
+_LEAST = 1e-9
+
+
+def leaving_time(mission: Mission) -> float:
+    """Time in s at which the deck leaves the last polytope; infinite where it stays, or does not move.
+
+    Args:
+        mission: of known values.
+
+    Example:
+        >>> import dataclasses, jaxscp
+        >>> scenario = jaxscp.scenarios.platform_to_platform()  # from x = 10 m to a wall at x = 11 m
+        >>> leaving_time(dataclasses.replace(scenario, deck_velocity=[0.25, 0.0, 0.0]))
+        4.0
+    """
+    if mission.deck_velocity is None or mission.goal_fixed is not None:
+        return np.inf
+    normals, offsets = np.asarray(mission.corridor.normals[-1]), np.asarray(mission.corridor.offsets[-1])
+    outwards = normals @ np.asarray(mission.deck_velocity)
+    depth = np.maximum(offsets - normals @ np.asarray(mission.goal.position), 0.0)
+    moves = outwards > 0.0
+    return float(np.min(depth[moves] / outwards[moves], initial=np.inf))
+
+
+def least_flight_time(mission: Mission) -> float:
+    """Time in s along the route at the greatest horizontal acceleration and speed, to rest at the goal.
+
+    Example:
+        >>> import jaxscp
+        >>> 1.0 < least_flight_time(jaxscp.scenarios.platform_to_platform()) < 2.0
+        True
+    """
+    ends = [np.asarray(end.position)[None] for end in (mission.start, mission.goal)]
+    points = np.concatenate([ends[0], np.asarray(mission.corridor.joints), ends[1]])
+    length = float(np.sum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
+    body = mission.airframe.body
+    lift = float(np.asarray(body.thrust_map)[2] @ np.asarray(mission.airframe.thrust_max) / body.mass)
+    gravity, tilt = float(np.linalg.norm(body.gravity)), mission.limits.tilt
+    acceleration = np.sqrt(max(lift**2 - gravity**2, 0.0))  # level flight, at full thrust
+    if tilt is not None and float(tilt) < 0.5 * np.pi:
+        acceleration = min(acceleration, gravity * np.tan(float(tilt)))
+    acceleration = max(float(acceleration), _LEAST)
+    limit = np.inf if mission.limits.speed is None else float(mission.limits.speed)
+    first = min(float(np.linalg.norm(mission.start.velocity)), limit)
+    top = min(limit, float(np.sqrt(acceleration * length + 0.5 * first**2)))
+    turning = (2.0 * top**2 - first**2) / (2.0 * acceleration)  # m, to reach the top speed and to brake
+    return max(2.0 * top - first, 0.0) / acceleration + max(length - turning, 0.0) / max(top, _LEAST)
+
+
+def deck_doubts(mission: Mission) -> Iterator[str]:
+    """Text on a deck that leaves the last polytope before the vehicle can land; nothing if there is no doubt.
+
+    Args:
+        mission: of known values, with unit normals or without.
+
+    Example:
+        >>> import dataclasses, jaxscp
+        >>> scenario = jaxscp.scenarios.platform_to_platform()
+        >>> next(deck_doubts(dataclasses.replace(scenario, deck_velocity=[1.0, 0.0, 0.0])))[:74]
+        "deck_velocity: the deck leaves the corridor's last polytope after 1 s, and"
+    """
+    leaves, least = leaving_time(mission), least_flight_time(mission)
+    if leaves < least:
+        yield (
+            f"deck_velocity: the deck leaves the corridor's last polytope after {leaves:.3g} s, and the flight takes "
+            f"{least:.3g} s or more. The last polytope must contain the deck until the landing: make it longer"
+        )
+
+
+def deck_outside(mission: Mission, time: float) -> str:
+    """Words on a deck that is outside of the last polytope at a time in s; empty if it is inside.
+
+    Example:
+        >>> import dataclasses, jaxscp
+        >>> scenario = jaxscp.scenarios.platform_to_platform()
+        >>> deck_outside(dataclasses.replace(scenario, deck_velocity=[0.25, 0.0, 0.0]), 5.0)
+        'at 5 s the deck is 0.25 m outside the last polytope, which it leaves at 4 s'
+    """
+    if not (leaves := leaving_time(mission)) < time:
+        return ""
+    mission = mission.with_unit_directions()
+    here = np.asarray(mission.goal.position) + np.asarray(mission.deck_velocity) * time
+    outside = float(np.max(np.asarray(mission.corridor.normals[-1]) @ here - mission.corridor.offsets[-1]))
+    return f"at {time:.3g} s the deck is {outside:.2g} m outside the last polytope, which it leaves at {leaves:.3g} s"
