@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from jaxscp.backends.serving import Backends
 from jaxscp.backends.xla import is_traced
 from jaxscp.core import pytree_file
-from jaxscp.core.status import Status, StatusCode, status_names
+from jaxscp.core.status import StatusCode, status_names, status_text
 from jaxscp.core.types import Count, Flag, Scalar
 from jaxscp.problem.augmented import DYNAMICS, can_be_stored
 from jaxscp.problem.multipliers import Multipliers
@@ -205,9 +205,9 @@ class Solution(eqx.Module):
         Args:
             scenario: of one solution, as in ``cause``.
         """
-        names = status_names(self.status)
+        names, landing = status_names(self.status), self.context is not None
         if isinstance(names, str):
-            text = Status[getattr(Status, names)]  # by name: JAX does not know a status of NumPy
+            text = status_text(names, landing)
             if names == "invalid_input":
                 return f"{names}: no plan was made\n{text}"
             lines = [
@@ -224,7 +224,7 @@ class Solution(eqx.Module):
             return "\n".join(lines)
         found, counts = np.unique(names, return_counts=True)
         lines = [
-            f"{count} {name}{_elements(names, name)}: {Status[getattr(Status, name)]}"
+            f"{count} {name}{_elements(names, name)}: {status_text(name, landing)}"
             for name, count in zip(found, counts, strict=True)
         ]
         return "\n".join(

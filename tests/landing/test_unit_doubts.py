@@ -56,7 +56,8 @@ def test_another_unit_is_suspected(name):
 
 
 def test_the_names_of_numbers_are_right_where_the_hull_follows_the_arm():
-    long = jaxscp.airframes.multirotor(**{**NUMBERS, "arm": 350.0})
+    numbers: dict[str, Any] = {**NUMBERS, "arm": 350.0}
+    long = jaxscp.airframes.multirotor(**numbers)
     with pytest.warns(UserWarning, match="airframe: a rotor is 350 m from the centre"):
         jaxscp.validate(with_vehicle(long))
 
