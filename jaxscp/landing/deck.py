@@ -5,8 +5,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from jaxscp.landing.mission import Mission
+from jaxscp.problem.trajectory import Trajectory
 
 _LEAST = 1e-9
+_SAME_PLACE = 2e-3  # m: a plan ends so near to the deck
 
 
 def leaving_time(mission: Mission) -> float:
@@ -90,3 +92,35 @@ def deck_outside(mission: Mission, time: float) -> str:
     here = np.asarray(mission.goal.position) + np.asarray(mission.deck_velocity) * time
     outside = float(np.max(np.asarray(mission.corridor.normals[-1]) @ here - mission.corridor.offsets[-1]))
     return f"at {time:.3g} s the deck is {outside:.2g} m outside the last polytope, which it leaves at {leaves:.3g} s"
+
+
+def goal_was_left(mission: Mission, plan: Trajectory, elapsed: float) -> str:
+    """Doubt about a re-plan's goal that is where the deck was at the start of the plan; empty if there is none.
+
+    The plan ends on the deck. So its own goal lies before its end by the deck's whole way.
+
+    Args:
+        mission: of known values; its time zero is now.
+        plan: that began ``elapsed`` s ago.
+        elapsed: s.
+
+    Example:
+        >>> import dataclasses, jax, jaxscp
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> moving = dataclasses.replace(jaxscp.scenarios.platform_to_platform(), deck_velocity=[0.25, 0.0, 0.0])
+        >>> landed = [0.0] * 13, [10.5, 0.0, 1.0, *[0.0] * 10]
+        >>> plan = jaxscp.Trajectory.from_arrays([0.0, 2.0], landed, [[0.0] * 4] * 2)
+        >>> goal_was_left(moving, plan, 1.0)[:50], goal_was_left(moving.after(1.0), plan, 1.0)
+        ('goal.position: the deck is where it was when the p', '')
+    """
+    if mission.deck_velocity is None or mission.goal_fixed is not None:
+        return ""
+    velocity, last = np.asarray(mission.deck_velocity), np.asarray(plan.state)[-1, :3]
+    way = float(np.linalg.norm(velocity)) * elapsed
+    beside = np.asarray(mission.goal.position) + velocity * float(plan.time[-1]) - last
+    if way <= 2.0 * _SAME_PLACE or float(np.linalg.norm(beside)) > _SAME_PLACE:
+        return ""
+    return (
+        f"goal.position: the deck is where it was when the plan began, {elapsed:.3g} s ago, though deck_velocity has "
+        f"moved it by {way:.2g} m since. Give the present scenario: scenario.after(elapsed)"
+    )

@@ -12,7 +12,7 @@ from jaxscp.core import pytree_file
 from jaxscp.core.errors import InvalidScenario
 from jaxscp.core.types import Flag, Scalar
 from jaxscp.landing.allocation import allocate
-from jaxscp.landing.deck import deck_outside
+from jaxscp.landing.deck import deck_outside, goal_was_left
 from jaxscp.landing.guess import initial_guess
 from jaxscp.landing.mission import PARTS, Mission
 from jaxscp.landing.passed import present_place, without_passed
@@ -206,6 +206,10 @@ class LandingScenario(Mission):
             'at 5 s the deck is 0.25 m outside the last polytope, which it leaves at 4 s'
         """
         return deck_outside(self, float(plan.time[-1]))
+
+    def replan_doubt(self, plan: Trajectory, elapsed: float) -> str:
+        """Doubt about a goal that did not move with the deck since a plan began; see ``after``."""
+        return goal_was_left(self, plan, elapsed)
 
     def guess(self, problem: OptimalControlProblem, context: Places) -> Trajectory:
         """A smooth trajectory through the corridor, without derivatives."""

@@ -18,6 +18,7 @@ from jaxscp.problem.multipliers import Multipliers
 from jaxscp.problem.problem import OptimalControlProblem
 from jaxscp.problem.trajectory import Trajectory
 from jaxscp.scp.history import History
+from jaxscp.solver.scenario import Advisor
 from jaxscp.verification.certificate import Certificate
 from jaxscp.verification.rollout import Rollout, rollout
 
@@ -169,7 +170,7 @@ class Solution(eqx.Module):
             return ""
         claims_optimum = self.certificate.optimality is not None  # and else nothing between the nodes
         row, found = self.certificate.largest_row(claims_optimum), []
-        if scenario is not None and (hindrance := scenario.hindrance(self.trajectory)):
+        if isinstance(scenario, Advisor) and (hindrance := scenario.hindrance(self.trajectory)):
             found.append(hindrance)
         if row:
             found.append(f"largest violation: {row}")

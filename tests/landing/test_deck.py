@@ -2,12 +2,14 @@
 
 import dataclasses
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxscp
 from jaxscp.corridor import box, connect
 from jaxscp.landing.deck import deck_doubts, deck_outside, least_flight_time, leaving_time
+from jaxscp.solver import pipeline
 
 ENDS = jaxscp.at_rest([1.0, 2.0, 1.0]), jaxscp.at_rest([10.0, 8.0, 0.9])
 
@@ -58,3 +60,31 @@ def test_the_least_time_is_that_of_the_greatest_acceleration():
 def test_the_distance_outside_grows_with_the_deck():
     assert deck_outside(carrier(), 4.9) == ""
     assert deck_outside(carrier(), 5.98).startswith("at 5.98 s the deck is 0.29 m outside the last polytope")
+
+
+def test_a_replan_to_the_deck_of_the_plan_is_warned_of(monkeypatch):
+    """No program runs: the plan is a line from the start to the deck, and its rest is not taken."""
+    scenario = carrier(end=14.0)
+    first, last = scenario.start.vector(), scenario.goal_at(jnp.array(8.0)).vector()
+    line = np.linspace(np.asarray(first), np.asarray(last), 5)
+    plan = jaxscp.Trajectory.from_arrays(np.linspace(0.0, 8.0, 5), line, np.ones((5, 4)))
+    replan = jaxscp.Planner(nodes=5).replan
+    monkeypatch.setattr(pipeline, "rest_of", _stop)
+    with (
+        pytest.warns(
+            UserWarning, match=r"goal\.position: the deck is where it was .* 2 s ago.* by 0\.6 m since"
+        ),
+        pytest.raises(StopIteration),
+    ):
+        replan(plan, scenario, 2.0)
+    here = scenario.after(2.0)
+    measured = dataclasses.replace(
+        scenario, goal=jaxscp.at_rest(scenario.goal.position + np.array([0.61, 0.02, 0.0]))
+    )
+    for present in (here, measured):
+        with pytest.raises(StopIteration):  # without a warning
+            replan(plan, present, 2.0)
+
+
+def _stop(*parts):
+    raise StopIteration

@@ -112,6 +112,9 @@ class Hindered(eqx.Module):
     def hindrance(self, plan):
         return f"the deck {float(self.cause):g}"
 
+    def replan_doubt(self, plan, elapsed):
+        return ""
+
 
 def test_a_scenario_tells_what_hindered_its_plan(solution):
     limit = js.Status.iteration_limit
