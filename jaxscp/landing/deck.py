@@ -42,19 +42,22 @@ def least_flight_time(mission: Mission) -> float:
     """
     ends = [np.asarray(end.position)[None] for end in (mission.start, mission.goal)]
     points = np.concatenate([ends[0], np.asarray(mission.corridor.joints), ends[1]])
-    length = float(np.sum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
-    body = mission.airframe.body
-    lift = float(np.asarray(body.thrust_map)[2] @ np.asarray(mission.airframe.thrust_max) / body.mass)
-    gravity, tilt = float(np.linalg.norm(body.gravity)), mission.limits.tilt
-    acceleration = np.sqrt(max(lift**2 - gravity**2, 0.0))  # level flight, at full thrust
-    if tilt is not None and float(tilt) < 0.5 * np.pi:
-        acceleration = min(acceleration, gravity * np.tan(float(tilt)))
-    acceleration = max(float(acceleration), _LEAST)
-    limit = np.inf if mission.limits.speed is None else float(mission.limits.speed)
-    first = min(float(np.linalg.norm(mission.start.velocity)), limit)
-    top = min(limit, float(np.sqrt(acceleration * length + 0.5 * first**2)))
-    turning = (2.0 * top**2 - first**2) / (2.0 * acceleration)  # m, to reach the top speed and to brake
-    return max(2.0 * top - first, 0.0) / acceleration + max(length - turning, 0.0) / max(top, _LEAST)
+    length = np.sum(np.linalg.norm(np.diff(points, axis=0), axis=1))
+    body, limits = mission.airframe.body, mission.limits
+    lift = np.asarray(body.thrust_map)[2] @ np.asarray(mission.airframe.thrust_max) / np.asarray(body.mass)
+    gravity = np.linalg.norm(body.gravity)
+    acceleration = np.sqrt(np.maximum(np.square(lift) - np.square(gravity), 0.0))  # level, at full thrust
+    if limits.tilt is not None and float(limits.tilt) < 0.5 * np.pi:
+        acceleration = np.minimum(acceleration, gravity * np.tan(np.asarray(limits.tilt)))
+    acceleration = np.maximum(acceleration, _LEAST)
+    limit = np.inf if limits.speed is None else np.asarray(limits.speed)
+    first = np.minimum(np.linalg.norm(mission.start.velocity), limit)
+    top = np.minimum(limit, np.sqrt(acceleration * length + 0.5 * np.square(first)))
+    turning = (
+        np.square(top) - 0.5 * np.square(first)
+    ) / acceleration  # m, to reach the top speed and to brake
+    cruising = np.maximum(length - turning, 0.0) / np.maximum(top, _LEAST)
+    return float(np.maximum(2.0 * top - first, 0.0) / acceleration + cruising)
 
 
 def deck_doubts(mission: Mission) -> Iterator[str]:
@@ -69,8 +72,8 @@ def deck_doubts(mission: Mission) -> Iterator[str]:
         >>> next(deck_doubts(dataclasses.replace(scenario, deck_velocity=[1.0, 0.0, 0.0])))[:74]
         "deck_velocity: the deck leaves the corridor's last polytope after 1 s, and"
     """
-    leaves, least = leaving_time(mission), least_flight_time(mission)
-    if leaves < least:
+    leaves = leaving_time(mission)
+    if leaves < np.inf and leaves < (least := least_flight_time(mission)):
         yield (
             f"deck_velocity: the deck leaves the corridor's last polytope after {leaves:.3g} s, and the flight takes "
             f"{least:.3g} s or more. The last polytope must contain the deck until the landing: make it longer"

@@ -11,8 +11,9 @@ from jaxscp.dynamics.airframes import Airframe
 from jaxscp.landing.inertia import inertia_doubt, radius_of_gyration, reach
 from jaxscp.landing.mission import FlightLimits, Mission
 
-SPREAD = 3.0  # radius of gyration over reach; real vehicles have 0.15 to 1.5
+SPREAD = 5.0  # radius of gyration over reach; real vehicles have 0.15 to 1.5
 ARM = 30.0  # lever of a rotor over radius of gyration
+TORQUE = 3.0  # drag torque over thrust, over reach; real vehicles have 0.04 to 0.3
 LIFT = 60.0  # greatest thrust over weight; a racing quadrotor has 16
 SPIN = 40.0  # rad/s of a body rate's limit: gyroscopes end at 35
 SPIN_OF_SIZE = 4.0  # the same, over sqrt(gravity / reach); a vehicle of 30 g has 2.5
@@ -67,11 +68,11 @@ def _lift(frame: Airframe) -> str:
 def _torque(frame: Airframe) -> str:
     levers, ratios = _levers(frame)
     size, largest = float(np.max(levers, initial=float(frame.radius))), float(np.max(ratios, initial=0.0))
-    if size <= 0.0 or largest <= size:
+    if size <= 0.0 or largest <= TORQUE * size:
         return ""
     return (
-        f"airframe.body.torque_map: a rotor's drag torque is {largest:.3g} m times its thrust, more than the vehicle's "
-        f"reach, {size:.3g} m. Is torque_ratio in m? Real ones are some hundredths of a metre."
+        f"airframe.body.torque_map: a rotor's drag torque is {largest:.3g} m times its thrust, {largest / size:.2g} "
+        f"times the vehicle's reach, {size:.3g} m. Is torque_ratio in m? Real ones are some hundredths of a metre."
     )
 
 

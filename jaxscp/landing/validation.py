@@ -49,7 +49,9 @@ def validate(scenario: Mission, nodes: int | None = None) -> None:
         broken = [rule.message for rule in rules(concrete, np) if not rule.holds]
     if broken:
         raise InvalidScenario("\n".join(broken))
-    for doubt in (*unit_doubts(concrete), *deck_doubts(concrete)):
+    with np.errstate(all="ignore"):
+        doubts = (*unit_doubts(concrete), *deck_doubts(concrete))
+    for doubt in doubts:
         warnings.warn(doubt, stacklevel=2)
 
 
