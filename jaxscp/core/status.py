@@ -89,6 +89,49 @@ _NAMES = (
 )
 
 
+_OF_OWN_PROBLEMS = {
+    "infeasible": (
+        "The constraints of a convex subproblem contradict each other (a certificate was found). Likely causes: a "
+        "condition at an end violates a bound or a constraint, two constraints exclude each other, or the final time "
+        "is fixed too short."
+    ),
+    "insufficient_progress": (
+        "The steps became too small before the tolerances were met, or a convex subproblem could not be solved to its "
+        "accuracy. Likely causes: constraints leave no room, as where an end lies on two of them at once; the final "
+        "time or the bounds make the task impossible; a function has a kink; or the problem is badly scaled."
+    ),
+    "dynamics_unmet": (
+        "No trajectory was found that obeys the dynamics and meets both ends: virtual control or an end residual "
+        "remains. Likely causes: the final time or the bounds of the controls make the task impossible, or there are "
+        "too few nodes. More nodes or another guess may help."
+    ),
+    "constraints_unmet": (
+        "No trajectory was found that keeps a constraint that is not convex: virtual buffer remains. Likely causes: "
+        "the constraints leave no way, or the guess passes an obstacle on the wrong side."
+    ),
+    "invalid_input": (
+        "The problem or its guess holds a value that is not finite. Call jaxscp.solve(problem, guess) on this element, "
+        "outside jit and vmap, for the field and the cause."
+    ),
+}
+
+
+def status_text(name: str, landing: bool) -> str:
+    """What likely happened and what to try.
+
+    Args:
+        name: of the status.
+        landing: whether a scenario was planned, and no problem of the user's own.
+
+    Example:
+        >>> from jaxscp.core.status import status_text
+        >>> status_text("dynamics_unmet", landing=False)[:24]
+        'No trajectory was found '
+    """
+    own = None if landing else _OF_OWN_PROBLEMS.get(name)
+    return own or Status[getattr(Status, name)]  # by name: JAX does not know a status of NumPy
+
+
 STATUS_NAMES = _NAMES
 """All names, in the order of the codes."""
 

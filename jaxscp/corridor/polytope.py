@@ -19,14 +19,14 @@ class Polytope(eqx.Module):
 
 
 def box(lower: ArrayLike, upper: ArrayLike) -> Polytope:
-    """Axis-aligned box between two opposite corners in metres.
+    """Axis-aligned box, by its least and its greatest corner.
 
     Args:
-        lower: (3,) the corner with the least coordinates.
-        upper: (3,) the corner with the greatest coordinates.
+        lower: (3,) the least coordinates along x, y and z, m.
+        upper: (3,) the greatest ones, m.
 
     Raises:
-        ValueError: the corners are swapped along an axis, or are no three numbers.
+        ValueError: the box has no width along an axis, the corners are swapped along one, or are no three numbers.
 
     Example:
         >>> import jaxscp
@@ -40,6 +40,8 @@ def box(lower: ArrayLike, upper: ArrayLike) -> Polytope:
                 raise ValueError(
                     f"box: lower {axis} {low:g} m exceeds upper {axis} {high:g} m; are they swapped?"
                 )
+            if low == high:
+                raise ValueError(f"box: no width along {axis}: lower and upper are both {low:g} m")
     offsets = xp.concatenate([most, -least])
     return Polytope(jnp.asarray(np.concatenate([np.eye(3), -np.eye(3)])), jnp.asarray(offsets))
 

@@ -175,10 +175,11 @@ def _found_joints(normals: Any, offsets: Any, margin: float) -> Any:
         inside = np.asarray(jax.vmap(deepest_ball)(cells).radius)
         after = f" once {margin:g} m of margin are taken off every face" if margin else ""
         for k in np.flatnonzero(inside <= 0):
-            raise ValueError(
-                f"connect: polytope {k} is empty{after}: its faces leave a ball of radius {inside[k]:.3g} m; are its "
-                "corners swapped?"
-            )
+            before = inside[k] + margin  # the radius shrinks with the margin
+            cause = f"its faces leave a ball of radius {before:.3g} m; are its corners swapped?"
+            if before > 0:
+                cause = f"its widest ball has a radius of {before:.3g} m; is margin in metres?"
+            raise ValueError(f"connect: polytope {k} is empty{after}: {cause}")
         k = int(np.argmax(np.asarray(balls.radius) <= 0))
         raise ValueError(
             f"connect: polytopes {k} and {k + 1} do not overlap{after}, so that there is no joint {k}: they are "

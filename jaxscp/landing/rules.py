@@ -9,7 +9,7 @@ from jaxscp.landing.hover import can_hover
 from jaxscp.landing.inertia import inertia_rule
 from jaxscp.landing.mission import Mission
 from jaxscp.landing.recovery import CLEARANCE, LIMIT_RECOVERY
-from jaxscp.landing.rule import Rule, short
+from jaxscp.landing.rule import Rule, face_text, short
 
 PADDED = 1.0  # offset of a row that only pads: 0 . p <= 1
 ASTRAY = 2e-3  # m: a plan may end so far outside of a wall
@@ -131,12 +131,13 @@ def _corridor_rules(s: Mission, xp):
     yield Rule(s.recovery >= 0.0, f"recovery: must not be negative, got {s.recovery} m.")
     yield Rule(
         inside_first >= -CLEARANCE - s.recovery,
-        f"start.position: lies {short(-inside_first)} m outside the corridor's first polytope (empty, or elsewhere; "
-        f"or does a margin of connect() move a wall over it?){allowed}.",
+        f"start.position: lies {short(-inside_first)} m outside the corridor's first polytope, "
+        f"{face_text(corridor, 0, s.start.position)}{allowed}.",
     )
     yield Rule(
         inside_last >= -CLEARANCE,
-        f"goal.position: lies {short(-inside_last)} m outside the corridor's last polytope (empty, or elsewhere?).",
+        f"goal.position: lies {short(-inside_last)} m outside the corridor's last polytope, "
+        f"{face_text(corridor, -1, s.goal.position)}.",
     )
     for side, first in (("before", 0), ("after", 1)):
         normals, offsets = (

@@ -12,6 +12,7 @@ from jaxscp.core import pytree_file
 from jaxscp.core.errors import InvalidScenario
 from jaxscp.core.types import Flag, Scalar
 from jaxscp.landing.allocation import allocate
+from jaxscp.landing.deck import deck_outside, goal_was_left
 from jaxscp.landing.guess import initial_guess
 from jaxscp.landing.mission import PARTS, Mission
 from jaxscp.landing.passed import present_place, without_passed
@@ -191,6 +192,24 @@ class LandingScenario(Mission):
         fresh = places_on(route, allocate(route, nodes))
         context = fresh if context is None else jnp.where(fits(context, fresh), context, fresh)
         return landing_problem(self, leg_of(context), form), context
+
+    def hindrance(self, plan: Trajectory) -> str:
+        """What hinders a plan that did not converge, as far as the scenario tells: a deck that left the corridor.
+
+        Example:
+            >>> import dataclasses, jax, jaxscp
+            >>> jax.config.update("jax_enable_x64", True)
+            >>> scenario = jaxscp.scenarios.platform_to_platform()
+            >>> moving = dataclasses.replace(scenario, deck_velocity=[0.25, 0.0, 0.0])
+            >>> still = jaxscp.Trajectory.from_arrays([0.0, 5.0], [[0.0] * 13] * 2, [[0.0] * 4] * 2)
+            >>> moving.hindrance(still)
+            'at 5 s the deck is 0.25 m outside the last polytope, which it leaves at 4 s'
+        """
+        return deck_outside(self, float(plan.time[-1]))
+
+    def replan_doubt(self, plan: Trajectory, elapsed: float) -> str:
+        """Doubt about a goal that did not move with the deck since a plan began; see ``after``."""
+        return goal_was_left(self, plan, elapsed)
 
     def guess(self, problem: OptimalControlProblem, context: Places) -> Trajectory:
         """A smooth trajectory through the corridor, without derivatives."""

@@ -13,7 +13,7 @@ from jaxscp.corridor.polytopes import Corridor
 from jaxscp.landing.mission import Mission
 
 _MAKERS = {
-    "BodyState": "jaxscp.at_rest(position, yaw) makes one",
+    "BodyState": "jaxscp.at_rest(position, yaw) makes one, and jaxscp.BodyState.of(x) of 13 numbers",
     "Components": "jaxscp.fixed(attitude=[1, 1, 0]), say, makes one",
     "Corridor": "jaxscp.corridor.connect(polytopes) and build_corridor make one",
     "Ellipsoids": "jaxscp.ellipsoids(centres, semi_axes) makes them",
@@ -35,6 +35,8 @@ def check_parts(mission: Mission) -> None:
 def _check_part(part: Any, expected: type, name: str) -> None:
     if not isinstance(part, expected):
         found = "None" if part is None else f"one of class {type(part).__name__}"
+        if part is not None and hasattr(part, "dtype") and hasattr(part, "shape"):
+            found = f"an array of shape {tuple(part.shape)}"
         hint = f"; {_MAKERS[expected.__name__]}" if expected.__name__ in _MAKERS else ""
         if expected is Corridor:
             hint += _search_hint(part)

@@ -11,11 +11,12 @@ from jaxscp.core.errors import InvalidScenario
 from jaxscp.core.trees import named_leaves
 from jaxscp.core.types import Flag
 from jaxscp.landing.allocation import usual_nodes
-from jaxscp.landing.inertia import inertia_doubt
+from jaxscp.landing.deck import deck_doubts
 from jaxscp.landing.mission import Mission
 from jaxscp.landing.rule import Rule
 from jaxscp.landing.rules import rules
 from jaxscp.landing.structure import check_parts
+from jaxscp.landing.unit_doubts import unit_doubts
 
 _MASKS = ("near_obstacles.present", "near_obstacles.deck")
 
@@ -23,7 +24,8 @@ _MASKS = ("near_obstacles.present", "near_obstacles.deck")
 def validate(scenario: Mission, nodes: int | None = None) -> None:
     """Raise ``InvalidScenario`` unless every rule holds. Compiles nothing.
 
-    Warns of an inertia that no body has: a principal moment above the sum of the other two.
+    Warns of an inertia that no body has, of values that are likely in another unit, and of a deck that leaves the last
+    polytope before the vehicle can reach it.
 
     Args:
         scenario: a landing.
@@ -47,7 +49,9 @@ def validate(scenario: Mission, nodes: int | None = None) -> None:
         broken = [rule.message for rule in rules(concrete, np) if not rule.holds]
     if broken:
         raise InvalidScenario("\n".join(broken))
-    if doubt := inertia_doubt(concrete.airframe):
+    with np.errstate(all="ignore"):
+        doubts = (*unit_doubts(concrete), *deck_doubts(concrete))
+    for doubt in doubts:
         warnings.warn(doubt, stacklevel=2)
 
 

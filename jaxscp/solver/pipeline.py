@@ -9,6 +9,7 @@ import dataclasses
 import functools
 import os
 import pathlib
+import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -33,7 +34,7 @@ from jaxscp.solver.conclude import Reported, conclude
 from jaxscp.solver.fallback import better
 from jaxscp.solver.load import load_planner
 from jaxscp.solver.rest import checked_seconds, rest_of
-from jaxscp.solver.scenario import Scenario
+from jaxscp.solver.scenario import Advisor, Scenario
 from jaxscp.solver.solution import Solution
 
 
@@ -89,6 +90,8 @@ class Pipeline(eqx.Module):
         keep_mesh = not is_traced((plan, scenario, elapsed)) and seconds > 0.0
         if traced or seconds > 0.0:
             fixed.check_shapes(scenario)
+            if (doubt := _replan_doubt(plan, scenario, seconds)) is not None:
+                warnings.warn(doubt, stacklevel=3)
             plan, scenario, context = rest_of(plan, context, scenario, seconds)
         found = fixed._from_plan(plan.with_dynamics(None), context, scenario, jnp.asarray(keep_mesh))
         return better(found, functools.partial(fixed._from_guess, scenario))
@@ -284,3 +287,10 @@ def _undefined_unless(ok, solution: Solution) -> Solution:
     rest = jax.tree.map(lambda v: jnp.where(ok, v, jnp.zeros_like(v)), rest)
     found = eqx.combine(undefined_unless(ok, floats), rest)
     return eqx.tree_at(lambda s: s.status, found, Status.where(ok, solution.status, Status.invalid_input))
+
+
+def _replan_doubt(plan: Trajectory, scenario: Scenario, seconds: Any) -> str | None:
+    """The scenario's doubt about itself as the present one; None of a traced one."""
+    if is_traced((plan, scenario, seconds)) or not isinstance(scenario, Advisor):
+        return None
+    return scenario.replan_doubt(plan, seconds) or None

@@ -94,3 +94,16 @@ class Scenario(Protocol):
     def warm_guess(self, plan: Trajectory) -> Trajectory:
         """A trajectory to start a re-plan from, by the plan of a similar scenario."""
         ...
+
+
+@runtime_checkable
+class Advisor(Protocol):
+    """A scenario that says more of its plans than the certificate does; no scenario needs to."""
+
+    def hindrance(self, plan: Trajectory) -> str:
+        """What hinders a plan that did not converge; empty if nothing is known."""
+        ...
+
+    def replan_doubt(self, plan: Trajectory, elapsed: float) -> str:
+        """Doubt about this scenario as the present one, ``elapsed`` s after the start of a plan; empty if none."""
+        ...

@@ -11,13 +11,14 @@ from jaxtyping import Array, Float
 from jaxscp.backends.serving import Backends
 from jaxscp.backends.xla import is_traced
 from jaxscp.core import pytree_file
-from jaxscp.core.status import Status, StatusCode, status_names
+from jaxscp.core.status import StatusCode, status_names, status_text
 from jaxscp.core.types import Count, Flag, Scalar
 from jaxscp.problem.augmented import DYNAMICS, can_be_stored
 from jaxscp.problem.multipliers import Multipliers
 from jaxscp.problem.problem import OptimalControlProblem
 from jaxscp.problem.trajectory import Trajectory
 from jaxscp.scp.history import History
+from jaxscp.solver.scenario import Advisor
 from jaxscp.verification.certificate import Certificate
 from jaxscp.verification.rollout import Rollout, rollout
 
@@ -152,20 +153,25 @@ class Solution(eqx.Module):
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         return "\n".join("  ".join(c.rjust(w) for c, w in zip(row, widths, strict=True)) for row in rows)
 
-    def cause(self) -> Any:
+    def cause(self, scenario: Any = None) -> Any:
         """What holds a plan up that did not converge: the worst row of its certificate, and the largest multiplier.
 
         For a problem without a scale, also sizes that differ much. Empty for a converged plan, and for one without
         numbers. Of a batch, an array of texts, one an element.
+
+        Args:
+            scenario: that was planned; of a batch, a stack of them. It tells of a deck that left the corridor.
         """
         if shape := np.shape(self.cost):
-            host = jax.tree.map(np.asarray, self)
+            host = jax.tree.map(np.asarray, (self, scenario))
             elements = (jax.tree.map(lambda v, i=i: v[i], host) for i in np.ndindex(shape))
-            return np.array([element.cause() for element in elements], str).reshape(shape)
+            return np.array([element.cause(asked) for element, asked in elements], str).reshape(shape)
         if status_names(self.status) == "converged" or not np.isfinite(float(self.cost)):
             return ""
         claims_optimum = self.certificate.optimality is not None  # and else nothing between the nodes
         row, found = self.certificate.largest_row(claims_optimum), []
+        if isinstance(scenario, Advisor) and (hindrance := scenario.hindrance(self.trajectory)):
+            found.append(hindrance)
         if row:
             found.append(f"largest violation: {row}")
         if self.multipliers is not None:
@@ -194,17 +200,21 @@ class Solution(eqx.Module):
             "typical sizes, scale=jaxscp.Scale(state=..., control=..., time=...)"
         ]
 
-    def report(self) -> str:
-        """Status, its likely cause, cost, times, backends and certificate; of a batch, the counts of each status."""
-        names = status_names(self.status)
+    def report(self, scenario: Any = None) -> str:
+        """Status, its likely cause, cost, times, backends and certificate; of a batch, the counts of each status.
+
+        Args:
+            scenario: of one solution, as in ``cause``.
+        """
+        names, landing = status_names(self.status), self.context is not None
         if isinstance(names, str):
-            text = Status[getattr(Status, names)]  # by name: JAX does not know a status of NumPy
+            text = status_text(names, landing)
             if names == "invalid_input":
                 return f"{names}: no plan was made\n{text}"
             lines = [
                 f"{names}: cost {float(self.cost):.6g}, final time {float(self.final_time):.6g}",
                 text,
-                *([cause] if (cause := self.cause()) else []),
+                *([cause] if (cause := self.cause(scenario)) else []),
                 *(["planned anew: no plan was found from the earlier one"] if bool(self.fell_back) else []),
                 *([_NEAR_OPTIMUM] if self._is_near_optimum() else []),
                 *(["starts outside of a wall or a limit, and comes back"] if bool(self.recovers) else []),
@@ -215,7 +225,7 @@ class Solution(eqx.Module):
             return "\n".join(lines)
         found, counts = np.unique(names, return_counts=True)
         lines = [
-            f"{count} {name}{_elements(names, name)}: {Status[getattr(Status, name)]}"
+            f"{count} {name}{_elements(names, name)}: {status_text(name, landing)}"
             for name, count in zip(found, counts, strict=True)
         ]
         return "\n".join(

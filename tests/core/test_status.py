@@ -1,6 +1,7 @@
 """Statuses: their codes are an order that files and other programs rely on."""
 
 from jaxscp import Status, status_names
+from jaxscp.core.status import status_text
 
 IN_ORDER = [
     "converged",
@@ -27,3 +28,5 @@ def test_every_status_has_its_name_and_a_message():
         member = getattr(Status, name)
         assert status_names(member) == name
         assert len(Status[member]) > 20
+        assert status_text(name, landing=True) == Status[member]
+        assert len(status_text(name, landing=False)) > 20

@@ -44,16 +44,28 @@ def test_polytopes_that_do_not_meet_are_numbered():
 
 
 def test_a_polytope_that_is_empty_is_numbered():
-    with pytest.raises(ValueError, match=r"polytope 2 is empty once 1\.2 m.*corners swapped"):
+    with pytest.raises(
+        ValueError, match=r"polytope 2 is empty once 1\.2 m.*radius of 0\.5 m; is margin in m"
+    ):
         connect([box([0, 0, 0], [9, 9, 9]), box([0, 0, 0], [9, 9, 9]), box([8, 0, 0], [9, 9, 3])], margin=1.2)
     upside = Polytope(box([0, 0, 0], [1, 1, 1]).normals, -box([0, 0, 0], [1, 1, 1]).offsets)
-    with pytest.raises(ValueError, match="polytope 1 is empty"):
+    with pytest.raises(ValueError, match=r"polytope 1 is empty: .* -0\.5 m; are its corners swapped"):
         connect([rooms()[0], upside])
 
 
 def test_swapped_corners_are_noticed():
     with pytest.raises(ValueError, match=r"lower y 2 m exceeds upper y 0 m; are they swapped"):
         box([0, 2, 0], [4, 0, 3])
+
+
+def test_a_flat_box_is_refused():
+    with pytest.raises(ValueError, match=r"box: no width along y: lower and upper are both 0 m"):
+        box([0, 0, 0], [5, 0, 2.4])
+
+
+def test_a_margin_in_another_unit_is_suspected():
+    with pytest.raises(ValueError, match=r"once 35 m of margin .*radius of 1 m; is margin in metres"):
+        connect(rooms(), margin=35.0)
 
 
 @pytest.mark.parametrize("joints", [[], [[3.5, 1, 1]], [[3.5, 1, 1]] * 3])

@@ -47,6 +47,7 @@ WRONG = {
     "corridor: .* build_corridor found no route, the message": unchecked("corridor", search(False).corridor),
     r"weights: .* tuple; jaxscp\.Weights\(control=": unchecked("weights", (0.1, 1.0)),
     "start: expected .* BodyState, got one of class tuple": unchecked("start", (0.0, 0.0, 1.0)),
+    r"start: .* got an array of shape \(13,\).*at_rest.*BodyState\.of\(x\)": unchecked("start", np.zeros(13)),
     "goal": unchecked("goal", None),
     "limits": unchecked("limits", None),
     "weights": unchecked("weights", None),

@@ -85,10 +85,44 @@ def test_an_invalid_element_says_how_to_learn_why(solution):
     batch = with_statuses(solution, js.Status.converged, js.Status.invalid_input)
     text = jax.tree.map(lambda v: v[1], batch).report()
     assert text.startswith("invalid_input: no plan was made")
-    assert "jaxscp.validate(scenario)" in text
+    assert "jaxscp.solve(problem, guess)" in text
     assert "nan" not in text
-    assert "1 invalid_input (element 1): The scenario is not valid" in batch.report()
+    assert "1 invalid_input (element 1): The problem or its guess" in batch.report()
     assert jax.tree.map(lambda v: v[0], batch).report().startswith("converged: cost")
+
+
+@pytest.mark.parametrize(
+    "name", ["infeasible", "insufficient_progress", "dynamics_unmet", "constraints_unmet"]
+)
+def test_a_text_speaks_of_corridors_to_landings_alone(solution, name):
+    own = eqx.tree_at(lambda s: s.status, solution, getattr(js.Status, name))
+    places = jnp.zeros(own.trajectory.nodes - 1, int)
+    landing = eqx.tree_at(lambda s: s.context, own, places, is_leaf=lambda v: v is None)
+    assert "corridor" in landing.report()
+    for text in (own.report(), with_statuses(own, own.status, js.Status.converged).report()):
+        assert name in text
+        assert not any(word in text for word in ("corridor", "landing", "flight", "keep-out"))
+
+
+class Hindered(eqx.Module):
+    """A scenario that knows what hinders its plans."""
+
+    cause: jax.Array
+
+    def hindrance(self, plan):
+        return f"the deck {float(self.cause):g}"
+
+    def replan_doubt(self, plan, elapsed):
+        return ""
+
+
+def test_a_scenario_tells_what_hindered_its_plan(solution):
+    limit = js.Status.iteration_limit
+    assert "the deck 1" in eqx.tree_at(lambda s: s.status, solution, limit).report(Hindered(jnp.array(1.0)))
+    assert "deck" not in solution.report(Hindered(jnp.array(1.0)))  # it converged
+    causes = with_statuses(solution, js.Status.converged, limit).cause(Hindered(jnp.array([1.0, 2.0])))
+    assert causes[0] == ""
+    assert causes[1].startswith("the deck 2")
 
 
 def test_the_causes_of_a_batch_are_those_of_its_elements(solution):
