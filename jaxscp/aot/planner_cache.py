@@ -114,7 +114,7 @@ def _made(folder: pathlib.Path | None, maker: Maker, tree: Any, shapes: tuple) -
 def _logged() -> Iterator[None]:
     """Log that something compiles: the call is silent meanwhile."""
     began = time.perf_counter()
-    LOG.info("compiling for this planner and these shapes, once: half a minute or so")
+    LOG.info("compiling for this planner and these shapes, once")
     yield
     LOG.info("compiled in %.1f s", time.perf_counter() - began)
 

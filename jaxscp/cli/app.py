@@ -83,8 +83,8 @@ def plan(request: PlanRequest) -> None:
     except InvalidScenario as error:
         raise typer.BadParameter(str(error)) from error
     title = f"{name}, mode {request.mode}, {nodes} nodes"
-    long = ", which takes half a minute or so" if request.cache is None else ""
-    notes.print(f"planning {title}: compiling first{long} ...")
+    hint = "" if request.cache else "; with --cache FOLDER, the next command need not"
+    notes.print(f"planning {title}: compiling first{hint} ...")
     solution, timing = timed(planner, scenario)
     if request.as_json:
         facts = {

@@ -26,6 +26,7 @@ MARKS = {  # pages that compile for more than some seconds; the longest others r
     "README.md": SLOW,
     "docs/problems.md": SLOW,
     "docs/first_plan.md": SLOW,
+    "docs/replan.md": SLOW,
     "docs/vehicle.md": NIGHTLY,
     "docs/maps.md": NIGHTLY,
     "docs/compile.md": NIGHTLY,
@@ -83,7 +84,7 @@ def run(line):
             assert result.exit_code == 0, result.output
         else:  # environments, and commands that ``.ci/run`` runs
             assert program in ("python", "python3", "pip"), command
-            for extras in re.findall(r"\.\[([\w,]+)\]", command):
+            for extras in re.findall(r"(?:\.|jaxscp)\[([\w,]+)\]", command):
                 assert set(extras.split(",")) <= set(PROJECT["optional-dependencies"]), command
 
 
