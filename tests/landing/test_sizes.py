@@ -89,7 +89,12 @@ def test_an_even_mesh_costs_little(scenario):
     planner = jaxscp.Planner(nodes=NODES)
     plan = planner(scenario)
     problem, _ = scenario.problem(NODES, context=plan.context)
-    free = dataclasses.replace(problem, time=dataclasses.replace(problem.time, mesh_weight=None))
+    sizes = (jnp.ones(n) for n in (problem.dynamics.state_size, problem.dynamics.control_size))
+    unit = jaxscp.Scale(
+        *sizes, time=1.0, cost=1.0
+    )  # about those of a landing, so that the barrier costs as much
+    time = dataclasses.replace(problem.time, mesh_weight=None)
+    free = dataclasses.replace(problem, time=time, scale=unit)
     best = jaxscp.solve(free, plan.trajectory)
     assert best.status == jaxscp.Status.converged
     assert -ROUNDING < float(plan.cost / best.cost) - 1.0 < LOST

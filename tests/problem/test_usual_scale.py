@@ -26,7 +26,8 @@ def fastest(length):
 
 
 def scale_of(problem, final_time=2.0):
-    return usual_scale(canonical(problem), js.straight_line(problem, final_time))
+    asked = canonical(problem)
+    return jax.jit(lambda guess: usual_scale(asked, guess))(js.straight_line(problem, final_time))
 
 
 def goddard(weight):
