@@ -73,14 +73,19 @@ def ascent():
 
 
 @pytest.mark.nightly
-def test_coarse_subproblems_lead_to_an_optimum_of_the_same_cost(ascent):
-    run = by_forcing(lambda method: method.run(*ascent))
-    coarse, exact = run(NewtonSCP().initial_forcing), run(0.0)
-    assert bool(coarse.is_optimum)
-    assert bool(exact.is_optimum)
-    steps = [int(state.history.conic_iterations.sum()) for state in (coarse, exact)]
-    assert steps[0] < 0.9 * steps[1]
-    np.testing.assert_allclose(coarse.cost, exact.cost, rtol=SAME_COST)
+def test_coarse_subproblems_lead_to_optima_of_the_same_cost():
+    """In fewer conic steps over both cases, though one of them takes a subproblem more."""
+    steps = np.zeros(2, int)
+    for scenario in (scenarios.platform_to_platform(), scenarios.ascent_to_platform()):
+        setup = jax.jit(Planner(nodes=20).pipeline.setup, compiler_options=compiler_options())
+        problem, z, *_ = setup(scenario)
+        run = by_forcing(lambda method, problem=problem, z=z: method.run(problem, z))
+        coarse, exact = run(NewtonSCP().initial_forcing), run(0.0)
+        assert bool(coarse.is_optimum)
+        assert bool(exact.is_optimum)
+        np.testing.assert_allclose(coarse.cost, exact.cost, rtol=SAME_COST)
+        steps += [int(state.history.conic_iterations.sum()) for state in (coarse, exact)]
+    assert steps[0] < 0.95 * steps[1]
 
 
 @pytest.mark.slow
