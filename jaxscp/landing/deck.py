@@ -53,9 +53,8 @@ def least_flight_time(mission: Mission) -> float:
     limit = np.inf if limits.speed is None else np.asarray(limits.speed)
     first = np.minimum(np.linalg.norm(mission.start.velocity), limit)
     top = np.minimum(limit, np.sqrt(acceleration * length + 0.5 * np.square(first)))
-    turning = (
-        np.square(top) - 0.5 * np.square(first)
-    ) / acceleration  # m, to reach the top speed and to brake
+    # m, to reach the top speed and to brake
+    turning = (np.square(top) - 0.5 * np.square(first)) / acceleration
     cruising = np.maximum(length - turning, 0.0) / np.maximum(top, _LEAST)
     return float(np.maximum(2.0 * top - first, 0.0) / acceleration + cruising)
 

@@ -29,8 +29,8 @@ def unit_doubts(mission: Mission) -> Iterator[str]:
         []
     """
     frame = mission.airframe
-    yield from filter(None, (inertia_doubt(frame), _spread(frame), _arm(frame), _lift(frame), _torque(frame)))
-    yield from filter(None, (_spin(mission.limits, frame),))
+    of_frame = (doubt(frame) for doubt in (inertia_doubt, _spread, _arm, _lift, _torque))
+    yield from filter(None, (*of_frame, _spin(mission.limits, frame)))
 
 
 def _spread(frame: Airframe) -> str:

@@ -51,10 +51,11 @@ def measured_sizes(problem: OptimalControlProblem, scale: Scale, guess: Trajecto
 
 def _row_sizes(jacobian: Float[Array, "rows inputs"], sizes: Float[Array, "inputs"]) -> Float[Array, "rows"]:
     """Change of each row if every input changes by its own size; one where that is nothing."""
-    return _or_one(jnp.abs(jacobian) @ sizes)
+    return or_one(jnp.abs(jacobian) @ sizes)
 
 
-def _or_one(size: Array) -> Array:
+def or_one(size: Array) -> Array:
+    """The size, or one where there is none."""
     return jnp.where(size > 0.0, size, 1.0)
 
 
@@ -64,7 +65,7 @@ def _size_of_cost(cost: Cost, guess: Trajectory) -> Scalar:
     rate = jax.vmap(cost.running_at)(guess.state, guess.control, guess.time, parameters)
     last = jax.tree.map(lambda v: v[-1], parameters)
     running = jnp.sum(0.5 * (rate[1:] + rate[:-1]) * jnp.diff(guess.time))
-    return _or_one(jnp.abs(running + cost.terminal_at(guess.state[-1], guess.time[-1], last)))
+    return or_one(jnp.abs(running + cost.terminal_at(guess.state[-1], guess.time[-1], last)))
 
 
 def size_of_constraint(c: Constraint, scale: Scale, guess: Trajectory) -> Scalar:
@@ -83,7 +84,7 @@ def size_of_constraint(c: Constraint, scale: Scale, guess: Trajectory) -> Scalar
         slopes = jax.jacfwd(function, argnums=(0, 1))
         found = jax.vmap(slopes)(guess.state, guess.control, guess.time, c.node_parameters())
         jacobian = jnp.concatenate(found, axis=-1)
-    return _or_one(jnp.max(jnp.abs(jacobian) @ sizes))
+    return or_one(jnp.max(jnp.abs(jacobian) @ sizes))
 
 
 def end_tolerances(boundary: Boundary, sizes: Sizes | None) -> dict[str, list[Array]]:

@@ -4,7 +4,7 @@ A solver's barrier, tolerances and weights suit numbers of about one. So sizes f
 are rounded to powers of ten: the same problem in other units is then the same numbers, and a small change of a problem
 changes no size.
 
-What is known: a variable's range over the guess, and a control's distance from its limits. The rest lies between two
+Known are a variable's range over the guess, and a control's distance from its limits. The rest lies between two
 bounds. A state cannot move further than its rate carries it in the whole time; and a variable that alone moves another
 one must be large enough to do so in that time.
 """
@@ -14,9 +14,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxscp.core.types import Scalar
-from jaxscp.problem.cost import Cost
 from jaxscp.problem.problem import OptimalControlProblem
 from jaxscp.problem.scale import Scale
+from jaxscp.problem.sizes import or_one
 from jaxscp.problem.time import FreeTime
 from jaxscp.problem.trajectory import Trajectory
 
@@ -58,9 +58,8 @@ def _sizes(problem: OptimalControlProblem, guess: Trajectory, time: Scalar) -> F
     def narrow(_, bounds: tuple[Array, Array]):
         least, most = bounds
         reach = own + others @ jnp.where(jnp.isfinite(most), most, 0.0)
-        first = jnp.isinf(most[:states]) & (
-            reach > 0.0
-        )  # estimated once: cycles of states would raise it for ever
+        # estimated once: cycles of states would raise it for ever
+        first = jnp.isinf(most[:states]) & (reach > 0.0)
         most = most.at[:states].set(jnp.where(first, reach, most[:states]))
         needed = jnp.where(alone, least[:states, None] / jnp.where(alone, others, 1.0), 0.0)
         least = jnp.maximum(least, jnp.max(needed, axis=0, initial=0.0))
@@ -110,21 +109,22 @@ def _change_of_cost(
 
     def running(x, u, t, p):
         rate = lambda step: cost.running_at(x + step[:states], u + step[states:], t, p)  # noqa: E731
-        return _largest_changes(jax.vmap(rate)(steps), cost.running_at(x, u, t, p))
+        here = cost.running_at(x, u, t, p)
+        return here, _largest_changes(jax.vmap(rate)(steps), here)
 
     time = guess.time[-1]
-    change = time * jnp.mean(jax.vmap(running)(guess.state, guess.control, guess.time, parameters))
+    rates, changes = jax.vmap(running)(guess.state, guess.control, guess.time, parameters)
+    change = time * jnp.mean(changes)
     if isinstance(problem.time.final, FreeTime):
-        rates = jax.vmap(cost.running_at)(guess.state, guess.control, guess.time, parameters)
         change += time * _finite(jnp.abs(jnp.mean(rates)))
-    return _or_one(change + _change_at_the_end(problem, cost, guess, steps[:, :states]))
+    return or_one(change + _change_at_the_end(problem, guess, steps[:, :states]))
 
 
 def _change_at_the_end(
-    problem: OptimalControlProblem, cost: Cost, guess: Trajectory, steps: Float[Array, "steps states"]
+    problem: OptimalControlProblem, guess: Trajectory, steps: Float[Array, "steps states"]
 ) -> Scalar:
     """Of the terminal cost."""
-    last, time = guess.state[-1], guess.time[-1]
+    cost, last, time = problem.cost, guess.state[-1], guess.time[-1]
     parameters = jax.tree.map(lambda v: v[-1], cost.node_parameters())
     here = cost.terminal_at(last, time, parameters)
     moved = jax.vmap(lambda step: cost.terminal_at(last + step, time, parameters))(steps)
@@ -142,10 +142,6 @@ def _largest_changes(moved: Float[Array, "steps"], here: Scalar) -> Scalar:
 
 def _finite(v: Array) -> Array:
     return jnp.where(jnp.isfinite(v), v, 0.0)
-
-
-def _or_one(size: Scalar) -> Scalar:
-    return jnp.where(size > 0.0, size, 1.0)
 
 
 def _rounded(size: Array) -> Array:

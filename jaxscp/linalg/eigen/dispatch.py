@@ -31,7 +31,9 @@ def eigen(
     Results are NaN for a matrix with entries that are not finite, and for no other.
     """
     cpu = native.eigen if _compiled(matrices) else None
-    return dispatch(cpu, in_jax.eigen, matrices, cuda=gpu.eigen if gpu.supports(matrices) else None)
+    return dispatch(
+        cpu, in_jax.eigen, matrices, cuda=gpu.eigen if gpu.supports(matrices, nearest=False) else None
+    )
 
 
 def _compiled(matrices: Array) -> bool:

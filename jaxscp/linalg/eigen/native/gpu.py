@@ -12,13 +12,18 @@ FOLDER = Path(__file__).parent
 WARP = 32  # threads, each of which has a row
 
 
-def supports(matrices: jax.Array) -> bool:
-    """Whether kernels can serve matrices of this size on the GPU that is JAX's default device."""
+def supports(matrices: jax.Array, *, nearest: bool = True) -> bool:
+    """Whether the kernel can serve matrices of this size on the GPU that is JAX's default device.
+
+    Args:
+        matrices: of the size.
+        nearest: whether the kernel of ``nearest`` is meant, and not that of ``eigen``.
+    """
     return (
         libraries.in_float64(matrices)
         and 0 < matrices.shape[-1] <= WARP
         and launch.available(LIBRARY)
-        and all(_kernel(matrices.shape[-1], nearest=each) is not None for each in (False, True))
+        and _kernel(matrices.shape[-1], nearest=nearest) is not None
     )
 
 

@@ -6,7 +6,7 @@
 #include "tensor_cores.h"
 
 constexpr int kPoints[] = {JAXSCP_POINTS}, kRows[] = {JAXSCP_ROWS}, kRankOne[] = {JAXSCP_RANK_ONE};
-constexpr int kParts = sizeof(kPoints) / sizeof(int), kInputs = JAXSCP_INPUTS, kVectors = JAXSCP_VECTORS;
+constexpr int kInputs = JAXSCP_INPUTS, kVectors = JAXSCP_VECTORS;
 constexpr int kTiles = (kInputs + 7) / 8;
 
 // Lower tiles of J' W J and all tiles of J' v.
