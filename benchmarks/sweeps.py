@@ -1,10 +1,11 @@
 """Sweeps: instances a second, time outside the planner, memory, resumption, scaling to two processes, and coverage.
 
-    python -m benchmarks.sweeps [--json] [--count N] [--mode default|paper] [--chunk N] [--gpu]
+    python -m benchmarks.sweeps [--json] [--count N] [--mode default|paper] [--chunk N] [--gpu | --long]
 
 A landing whose mass, thrust and goal scatter (Case 1, 30 nodes). Compilation is not counted: a first, small sweep fills
 the cache of programs and warms each process that is measured. With ``--gpu``, each chunk is one batch; only the rate,
-on one device and on all, the time outside the planner and memory are measured.
+on one device and on all, the time outside the planner and memory are measured. With ``--long``, one sweep by two
+processes: its rate, and the memory of all its processes after each tenth.
 """
 
 import argparse
@@ -21,6 +22,7 @@ import jax
 jax.config.update("jax_enable_x64", True)
 
 import numpy as np  # noqa: E402
+import psutil  # noqa: E402
 
 import jaxscp  # noqa: E402
 from jaxscp import monte_carlo as mc  # noqa: E402
@@ -53,6 +55,22 @@ class Clock(mc.Silent):
         """See ``Progress``."""
         self.times.append(time.perf_counter())
         self.cases.append(snapshot.done)
+
+
+class Memory(Clock):
+    """Notes also the resident memory of this process and its workers, MB."""
+
+    def __init__(self):
+        super().__init__()
+        self.resident: list[float] = []
+
+    def update(self, snapshot: mc.Snapshot) -> None:
+        """See ``Progress``."""
+        super().update(snapshot)
+        this = psutil.Process()
+        self.resident.append(
+            sum(p.memory_info().rss for p in (this, *this.children(recursive=True))) / 1024.0**2
+        )
 
 
 def rate(planned: mc.Study, folder: Path, engine: mc.Engine, chunk: int, skip: int) -> tuple[float, mc.Sweep]:
@@ -152,6 +170,30 @@ def measure_batches(count: int, mode: str, chunk: int, folder: Path) -> dict[str
     }
 
 
+def measure_long(count: int, mode: str, chunk: int, folder: Path) -> dict[str, Any]:
+    """Figures of one sweep by two processes; memory after each tenth."""
+    jaxscp.use_cache(folder / "cache")
+    clock = Memory()
+    found = mc.sweep(
+        study(count, mode),
+        folder / "sweep",
+        engine=mc.Processes(PAIR, mc.OneByOne(1)),
+        progress=clock,
+        chunk=chunk,
+    )
+    tenths = np.searchsorted(clock.cases, count * np.arange(1, 11) / 10)
+    seconds = clock.times[-1] - clock.times[PAIR - 1]
+    return {
+        "count": count,
+        "mode": mode,
+        "chunk": chunk,
+        "instances_per_s": (clock.cases[-1] - clock.cases[PAIR - 1]) / seconds,
+        "overhead_share": overhead(found),
+        "memory_mb_by_tenth": [round(clock.resident[i]) for i in tenths],
+        "statuses": mc.summarise(found, resamples=0).statuses,
+    }
+
+
 def peak_memory_mb() -> float:
     """Largest resident memory of this process, MB."""
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -166,11 +208,13 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=400, help="instances of a sweep")
     parser.add_argument("--mode", choices=list(MODES), default="default")
     parser.add_argument("--chunk", type=int, default=50)
-    parser.add_argument(
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument(
         "--gpu", action="store_true", help="each chunk as one batch on one device, then on all"
     )
+    which.add_argument("--long", action="store_true", help="one sweep by two processes, and its memory")
     asked = parser.parse_args()
-    measured = measure_batches if asked.gpu else measure
+    measured = measure_batches if asked.gpu else measure_long if asked.long else measure
     with tempfile.TemporaryDirectory() as folder:
         found = measured(asked.count, asked.mode, asked.chunk, Path(folder))
     if asked.json:
