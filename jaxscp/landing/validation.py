@@ -116,8 +116,11 @@ def _expected_shapes(s: Mission):
         yield f"{name}.velocity", state.velocity, (3,)
         yield f"{name}.attitude", state.attitude, (4,)
         yield f"{name}.body_rate", state.body_rate, (3,)
+    yield "corridor.offsets", s.corridor.offsets, (polytopes, faces)
     yield "corridor.normals", s.corridor.normals, (polytopes, faces, 3)
     yield "corridor.joints", s.corridor.joints, (max(polytopes - 1, 0), 3)
+    if s.corridor.margin is not None:
+        yield "corridor.margin", s.corridor.margin, ()
     for name in ("cone_angle", "dilation_min", "dilation_max", "recovery"):
         yield name, getattr(s, name), ()
     for name in ("speed", "tilt", "body_rate", "thrust_rate"):

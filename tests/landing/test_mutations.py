@@ -13,7 +13,7 @@ WRONG = (np.nan, np.inf, -np.inf, 0.0, -1.0, 1e300, 1e-300)
 
 def whole():
     """A scenario in which no part is None."""
-    corridor = connect([box([0, -1, 0], [6, 1, 2]), box([4, -1, 0], [9, 1, 2])])
+    corridor = connect([box([0, -1, 0], [6, 1, 2]), box([4, -1, 0], [9, 1, 2])], margin=0.1)
     return jaxscp.scenarios.through(
         corridor,
         jaxscp.at_rest([1.0, 0.0, 1.0]),
