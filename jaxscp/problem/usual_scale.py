@@ -21,6 +21,7 @@ from jaxscp.problem.time import FreeTime
 from jaxscp.problem.trajectory import Trajectory
 
 ABOUT_ONE = 30.0  # sizes up to this, and down to its inverse, count as one
+ROUNDING = 1e-9  # of the largest size: a smaller one counts as zero
 OVERSTATED = 3.0  # a change of the cost is the sum of the changes by all variables, as if none cancelled
 
 
@@ -50,9 +51,9 @@ def _sizes(problem: OptimalControlProblem, guess: Trajectory, time: Scalar) -> F
     known = jnp.max(variables, axis=0) - jnp.min(variables, axis=0)
     distance = _distance_from_limits(problem, guess)
     known = jnp.where(jnp.arange(len(known)) < states, known, jnp.maximum(known, distance))
-    known = jnp.where(jnp.isfinite(known), known, 0.0)
     rates, slopes = _largest_rates(problem, guess)
-    own, others = time * rates, time * slopes * (1.0 - jnp.eye(states, len(known)))
+    known, own = jnp.split(_without_rounding(jnp.concatenate([_finite(known), time * rates])), [len(known)])
+    others = _without_rounding(time * slopes * (1.0 - jnp.eye(states, len(known))))
     alone = (others > 0.0) & (jnp.sum(others > 0.0, axis=1, keepdims=True) == 1)
 
     def narrow(_, bounds: tuple[Array, Array]):
@@ -142,6 +143,12 @@ def _largest_changes(moved: Float[Array, "steps"], here: Scalar) -> Scalar:
 
 def _finite(v: Array) -> Array:
     return jnp.where(jnp.isfinite(v), v, 0.0)
+
+
+def _without_rounding(sizes: Float[Array, "*b n"]) -> Float[Array, "*b n"]:
+    """Rows of sizes, and zero for those that only rounding has made, as of a guess in a plane."""
+    largest = jnp.max(sizes, axis=-1, keepdims=True, initial=0.0)
+    return jnp.where(sizes > ROUNDING * largest, sizes, 0.0)
 
 
 def _rounded(size: Array) -> Array:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import jaxscp as js
+from benchmarks.robustness.chains import chain
 from jaxscp.problem.canonical import canonical
 from jaxscp.problem.usual_scale import usual_scale
 
@@ -50,6 +51,30 @@ def goddard(weight):
 def test_sizes_of_about_one_count_as_one():
     scale = scale_of(fastest(3.0))
     assert all(np.all(np.asarray(v) == 1.0) for v in jax.tree.leaves(scale))
+
+
+def landing(number):
+    """A flight through random rooms as a problem, and a guess; of a vehicle that flies almost in a plane."""
+    scenario = chain(number).scenario
+    problem, context = scenario.problem(js.Planner().nodes_for(scenario))
+    return problem, scenario.guess(problem, context)
+
+
+@pytest.mark.filterwarnings("ignore:corridor")  # rooms that are narrow for the vehicle
+@pytest.mark.parametrize("number", [30003, 30036, 30337])
+def test_rounding_in_a_guess_is_no_size(number):
+    """Some components change by 1e-16 along the guess, and so do rates and slopes."""
+    problem, guess = landing(number)
+    assert np.any((np.ptp(guess.state, axis=0) < 1e-12) & (np.ptp(guess.state, axis=0) > 0.0))
+    scale = jax.jit(lambda guess: usual_scale(canonical(problem), guess))(guess)
+    assert np.min(scale.state) >= 1e-3
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:corridor")
+def test_a_landing_is_solved_without_a_scale():
+    problem, guess = landing(30003)
+    assert js.solve(problem, guess).status == js.Status.converged
 
 
 @pytest.mark.parametrize("unit", [1e-6, 1e-3, 1e3, 1e6])
