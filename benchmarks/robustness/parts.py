@@ -41,7 +41,7 @@ def _converged(solution: jaxscp.Solution) -> bool:
 def chains(count: int, seed: int, echo: Echo, boxes: int | None = None) -> dict[str, Any]:
     """Plans of random chains, judged by SciPy; costs against two other guesses."""
     PLANNER(chain(seed, boxes).scenario)
-    converged, wrong, times, gaps = [], 0, [], []
+    converged, wrong, times, gaps, compared = [], 0, [], [], []
     for number in range(seed, seed + count):
         scenario = chain(number, boxes).scenario
         began = time.perf_counter()
@@ -57,7 +57,9 @@ def chains(count: int, seed: int, echo: Echo, boxes: int | None = None) -> dict[
         if fault := refuted(scenario, solution):
             wrong += 1
             echo(f"chain {number}: refuted: {fault}")
-        gaps.append(_gap(scenario, solution))
+        others = _costs_from_other_guesses(scenario)
+        compared += [cost < float("inf") for cost in others]
+        gaps.append(float(solution.cost) / min(float(solution.cost), *others) - 1.0)
         if gaps[-1] > GAP:
             echo(f"chain {number}: {100.0 * gaps[-1]:.2g} % above the best of three guesses")
     return {
@@ -66,6 +68,7 @@ def chains(count: int, seed: int, echo: Echo, boxes: int | None = None) -> dict[
         "chains_p95_over_median": float(np.percentile(times, 95) / np.median(times)),
         "chains_near_optimal_share": _share([gap <= GAP for gap in gaps]),
         "chains_cost_gap_p99": float(np.percentile(gaps, 99)) if gaps else float("nan"),
+        "chains_other_guesses_converged_share": _share(compared),
     }
 
 
@@ -74,15 +77,15 @@ def chains_of_four(count: int, seed: int, echo: Echo) -> dict[str, Any]:
     return {f"four_{name}": value for name, value in chains(count, seed, echo, boxes=4).items()}
 
 
-def _gap(scenario: jaxscp.LandingScenario, solution: jaxscp.Solution) -> float:
-    """Cost over the best of the plan and of solves from two other flight times, less one."""
+def _costs_from_other_guesses(scenario: jaxscp.LandingScenario) -> list[float]:
+    """Costs of solves from two other flight times; infinite where one does not converge."""
     problem, context = scenario.problem(PLANNER.nodes_for(scenario))
-    guess, costs = scenario.guess(problem, context), [float(solution.cost)]
+    guess, costs = scenario.guess(problem, context), []
     for factor in (0.7, 1.5):
         other = dataclasses.replace(guess, time=factor * guess.time, dilation=factor * guess.dilation)
         found = jaxscp.solve(problem, other)
-        costs += [float(found.cost)] if _converged(found) else []
-    return costs[0] / min(costs) - 1.0
+        costs.append(float(found.cost) if _converged(found) else float("inf"))
+    return costs
 
 
 def limits(count: int, seed: int, echo: Echo) -> dict[str, Any]:
