@@ -73,9 +73,11 @@ class Memory(Clock):
         )
 
 
-def rate(planned: mc.Study, folder: Path, engine: mc.Engine, chunk: int, skip: int) -> tuple[float, mc.Sweep]:
+def rate(
+    planned: mc.Study, folder: Path, engine: mc.Engine, chunk: int, skip: int, clock: Clock | None = None
+) -> tuple[float, mc.Sweep]:
     """Cases a second between the end of the first chunks, which compile, and the end of the last one."""
-    clock = Clock()
+    clock = clock or Clock()
     found = mc.sweep(planned, folder, engine=engine, progress=clock, chunk=chunk)
     seconds = clock.times[-1] - clock.times[skip - 1]
     return (clock.cases[-1] - clock.cases[skip - 1]) / seconds, found
@@ -173,21 +175,14 @@ def measure_batches(count: int, mode: str, chunk: int, folder: Path) -> dict[str
 def measure_long(count: int, mode: str, chunk: int, folder: Path) -> dict[str, Any]:
     """Figures of one sweep by two processes; memory after each tenth."""
     jaxscp.use_cache(folder / "cache")
-    clock = Memory()
-    found = mc.sweep(
-        study(count, mode),
-        folder / "sweep",
-        engine=mc.Processes(PAIR, mc.OneByOne(1)),
-        progress=clock,
-        chunk=chunk,
-    )
+    planned, clock = study(count, mode), Memory()
+    both, found = rate(planned, folder / "sweep", mc.Processes(PAIR, mc.OneByOne(1)), chunk, PAIR, clock)
     tenths = np.searchsorted(clock.cases, count * np.arange(1, 11) / 10)
-    seconds = clock.times[-1] - clock.times[PAIR - 1]
     return {
         "count": count,
         "mode": mode,
         "chunk": chunk,
-        "instances_per_s": (clock.cases[-1] - clock.cases[PAIR - 1]) / seconds,
+        "instances_per_s": both,
         "overhead_share": overhead(found),
         "memory_mb_by_tenth": [round(clock.resident[i]) for i in tenths],
         "statuses": mc.summarise(found, resamples=0).statuses,

@@ -24,8 +24,8 @@ _MASKS = ("near_obstacles.present", "near_obstacles.deck")
 def validate(scenario: Mission, nodes: int | None = None) -> None:
     """Raise ``InvalidScenario`` unless every rule holds. Compiles nothing.
 
-    Warns of an inertia that no body has (a principal moment above the sum of the other two), and of values that are
-    likely in another unit. Also warns of a deck that leaves the last polytope before the vehicle can reach it.
+    Warns of an inertia that no body has: a principal moment above the sum of the other two. Warns of values that are
+    likely in another unit, and of a deck that leaves the last polytope before the vehicle can reach it.
 
     Args:
         scenario: a landing.

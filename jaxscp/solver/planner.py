@@ -199,9 +199,9 @@ class Planner(eqx.Module):
                 continue
             if not isinstance(value := getattr(self, field), int | np.integer) or value < least:
                 raise InvalidScenario(f"{field}: expected a whole number, {least} or more, got {value!r}.")
-        if isinstance(self.method, NewtonSCP | PTR):
-            return  # to ask for the interface evaluates its properties, which takes longer than all else here
-        if isinstance(self.method, type) or not isinstance(self.method, Method):
+        # To ask for the interface evaluates its properties, which takes longer than all else here.
+        ours = isinstance(self.method, NewtonSCP | PTR)
+        if not ours and (isinstance(self.method, type) or not isinstance(self.method, Method)):
             hint = " Planner.paper() is the paper's." if self.method == "paper" else ""
             raise InvalidScenario(f"method: expected NewtonSCP() or PTR(), say, got {self.method!r}.{hint}")
 

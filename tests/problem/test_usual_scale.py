@@ -54,7 +54,7 @@ def test_sizes_of_about_one_count_as_one():
 
 
 def landing(number):
-    """A flight through random rooms as a problem, and a guess; of a vehicle that flies almost in a plane."""
+    """A flight through random rooms as a problem, and a guess that lies almost in a plane."""
     scenario = chain(number).scenario
     problem, context = scenario.problem(js.Planner().nodes_for(scenario))
     return problem, scenario.guess(problem, context)

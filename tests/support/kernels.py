@@ -60,7 +60,7 @@ def kernels_here(module, folder: Path, monkeypatch) -> None:
     monkeypatch.setattr(launch, "cubin", cubin)
     monkeypatch.setattr(module, "LIBRARY", module.LIBRARY._replace(on_gpu=handler()))
     monkeypatch.setattr(cuda, "capability", lambda: "90")
-    monkeypatch.setattr(module, "supports", lambda *_, **__: False)  # what is expected comes from JAX and C++
+    monkeypatch.setattr(module, "supports", lambda *_, **__: False)  # tests expect the results of JAX and C++
 
 
 def as_on_a_gpu(monkeypatch) -> None:

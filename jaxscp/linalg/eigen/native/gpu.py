@@ -17,7 +17,7 @@ def supports(matrices: jax.Array, *, nearest: bool = True) -> bool:
 
     Args:
         matrices: of the size.
-        nearest: whether the kernel of ``nearest`` is meant, and not that of ``eigen``.
+        nearest: True for the kernel of ``nearest``, False for that of ``eigen``.
     """
     return (
         libraries.in_float64(matrices)
