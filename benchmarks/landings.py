@@ -20,7 +20,7 @@ import numpy as np  # noqa: E402
 
 from jaxscp.mission import Choices, Outcome, Phase, draw_case  # noqa: E402
 from jaxscp.mission.cases import Case, sent_off  # noqa: E402
-from jaxscp.mission.craft import Record, nominal_pilot  # noqa: E402
+from jaxscp.mission.member import Record, nominal_pilot  # noqa: E402
 from jaxscp.mission.outcome import assess  # noqa: E402
 from jaxscp.simulation import Sensors, begin  # noqa: E402
 from jaxscp.simulation.simulate import advance  # noqa: E402

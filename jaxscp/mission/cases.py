@@ -1,7 +1,7 @@
 """Cases of missions, drawn from a seed: obstacles, goal, vehicle, air and the motion of the deck."""
 
 import dataclasses
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -54,6 +54,16 @@ class Choices:
             speed = getattr(self, name)
             if speed is not None and not 0.0 <= speed <= most:  # NaN is refused, too
                 raise ValueError(f"{name}: expected a speed from 0 to {most:g} m/s, got {speed!r}")
+
+
+class Request(NamedTuple):
+    """A mission that is asked for."""
+
+    field: str
+    """``indoor`` or ``outdoor``."""
+    seed: int
+    choices: Choices | None = None
+    """Numbers that are fixed instead of drawn."""
 
 
 def draw_case(name: str, seed: int, choices: Choices | None = None) -> Case:

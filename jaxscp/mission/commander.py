@@ -11,24 +11,24 @@ from jaxscp.corridor import PointCloud
 from jaxscp.mission.fields import Field
 from jaxscp.mission.mapping import Points, RecentMap
 from jaxscp.mission.phases import Phase
-from jaxscp.mission.pilot import SAMPLES
-from jaxscp.mission.planning import Planned, clearance, retreat
+from jaxscp.mission.planning import Planned, retreat
 from jaxscp.simulation.vehicles import FEET_DEPTH
 
 MEMORY = 12.0  # m of the way after which a scan is forgotten
 LEAST_CLEARANCE = 0.23  # m from the latest scan to the rest of the plan: the hull and as much for tracking
-_LATENCY = 0.1  # s from an order to the begin of a plan
 _STOPPING = 0.35  # s of the plan that a stop still takes
 _FAILURES = 6  # looks without a plan before a task is given up
-_REST = 2  # parts of the flight after its end
 _ABOVE_GROUND = 0.4  # m: lower points are the ground
 
 
 @runtime_checkable
 class Vehicle(Protocol):
-    """A vehicle for a commander: estimates, scans and the pilot's memory. ``Craft`` is one."""
+    """A vehicle for a commander: estimates, scans and orders. ``Member`` is one."""
 
-    pilot: Any
+    @property
+    def rules(self) -> Any:
+        """Heights, speeds and limits of its pilot."""
+        ...
 
     @property
     def phase(self) -> Any:
@@ -38,11 +38,6 @@ class Vehicle(Protocol):
     @property
     def time(self) -> float:
         """s since the begin."""
-        ...
-
-    @property
-    def memory(self) -> Any:
-        """The pilot's memory."""
         ...
 
     def state(self) -> Float[np.ndarray, "13"]:
@@ -57,16 +52,16 @@ class Vehicle(Protocol):
         """Points of one scan in the frame of the odometry, m."""
         ...
 
-    def order(self, memory: Any) -> None:
-        """Give the pilot a changed memory."""
+    def follow(self, trajectory: Any) -> Reference:
+        """Order a cruise along a plan, and return its reference."""
         ...
 
-    def call_carrier(self) -> None:
-        """Tell the carrier that the landing begins."""
+    def stop(self, place: Float[np.ndarray, "3"]) -> None:
+        """Order a hover at a place, m."""
         ...
 
-    def advance(self) -> None:
-        """A part of the flight."""
+    def land(self) -> None:
+        """Order the approach, and tell the carrier."""
         ...
 
 
@@ -131,13 +126,12 @@ class Commander:
             self.failures = 0
             self.task = Task.back if self.task == Task.out else Task.landing
         if self.task == Task.landing:
-            self.craft.call_carrier()
-            self.craft.order(self.craft.pilot.with_approach(self.craft.memory, self.craft.time))
+            self.craft.land()
             return
         planned = self.planner.plan(self.map.cloud(), here, self._place(), self.craft.deck())
         self.plans.append((self.craft.time, planned))
         if planned.trajectory is not None:
-            self._start(planned)
+            self.references.append(self.craft.follow(planned.trajectory))
             return
         self.failures += 1
         self._make_room(here)
@@ -148,42 +142,23 @@ class Commander:
 
     def _make_room(self, here: Float[np.ndarray, "3"]) -> None:
         """Draw back from obstacles that are close: from there, a plan may start."""
-        place = retreat(self.map.latest(), here)
+        place = retreat(self.map.latest().points, here)
         if place is not None:
-            self.craft.order(self.craft.pilot.with_stop(self.craft.memory, place, self.craft.time))
-
-    def _start(self, planned: Planned) -> None:
-        pilot = self.craft.pilot
-        hover = pilot.still.control[0]
-        plan = pilot.nmpc.follow(planned.trajectory, self.craft.time + _LATENCY, hover, SAMPLES)
-        self.references.append(plan)
-        self.craft.order(pilot.with_plan(self.craft.memory, plan, self.craft.time))
+            self.craft.stop(place)
 
     def _on_the_way(self) -> None:
         """Stop where the latest scan shows too little clearance."""
-        plan, now = self.craft.memory.plan, self.craft.time
+        plan, now = self.references[-1], self.craft.time
         begin = int(max(0.0, (now - float(plan.start)) / float(plan.step)))
         rest = np.asarray(plan.state)[begin:, :3]
-        points = self.map.latest()
-        points = points[points[:, 2] > _ABOVE_GROUND]
-        if clearance(points, rest) < LEAST_CLEARANCE:
+        if self.map.latest().blocks(rest, LEAST_CLEARANCE, _ABOVE_GROUND):
             self.aborts.append("blocked plan")
             place, _ = plan.at(now + _STOPPING)
-            self.craft.order(self.craft.pilot.with_stop(self.craft.memory, place[:3], now))
+            self.craft.stop(np.asarray(place)[:3])
 
     def _place(self) -> Float[np.ndarray, "3"]:
         """Where the task's plan ends."""
         if self.task == Task.out:
             return self.goal
-        height = float(self.craft.pilot.rules.return_height) + FEET_DEPTH
+        height = float(self.craft.rules.return_height) + FEET_DEPTH
         return self.craft.deck() + np.array([0.0, 0.0, height])
-
-
-def carry_out(commander: Commander, time_limit: float = 150.0) -> None:
-    """Fly until the mission is done, and two parts longer."""
-    craft = commander.craft
-    while commander.task != Task.done and craft.time < time_limit:
-        craft.advance()
-        commander.look()
-    for _ in range(_REST):
-        craft.advance()

@@ -1,4 +1,4 @@
-"""A whole mission by its seed."""
+"""A mission that was carried out."""
 
 import dataclasses
 import os
@@ -6,12 +6,11 @@ import os
 import numpy as np
 from jaxtyping import Float
 
-from jaxscp.mission.cases import Case, Choices, draw_case
-from jaxscp.mission.commander import Commander, carry_out
-from jaxscp.mission.craft import CHUNK, Craft
-from jaxscp.mission.outcome import Outcome, assess
+from jaxscp.mission.cases import Case, Request
+from jaxscp.mission.commander import Commander
+from jaxscp.mission.member import LOOK, Record
+from jaxscp.mission.outcome import Outcome
 from jaxscp.mission.phases import Phase
-from jaxscp.mission.planning import MissionPlanner
 from jaxscp.simulation import Flight
 from jaxscp.simulation.simulate import TICK
 
@@ -23,10 +22,11 @@ GOAL_REACHED = 1.5
 class Mission:
     """A mission that was carried out."""
 
+    request: Request
     case: Case
     commander: Commander
-    craft: Craft
-    """The vehicle, with the record of the truth."""
+    record: Record
+    """The truth."""
     outcome: Outcome
 
     @property
@@ -36,10 +36,10 @@ class Mission:
 
     def tracking_errors(self) -> Float[np.ndarray, "ticks"]:
         """Distance of the estimated position from the plan, m; NaN outside a cruise."""
-        places = np.asarray(self.craft.record.flight().estimate)[:, :3]
+        places = np.asarray(self.record.flight().estimate)[:, :3]
         time = np.arange(1, len(places) + 1) * TICK
         errors = np.full(len(places), np.nan)
-        cruising = np.repeat([phase == Phase.cruise for phase in self.craft.record.phases], int(CHUNK / TICK))
+        cruising = np.repeat([phase == Phase.cruise for phase in self.record.phases], round(LOOK / TICK))
         for plan in self.commander.references:
             rows = cruising & (time > float(plan.start))
             samples = float(plan.start) + float(plan.step) * np.arange(len(plan.state))
@@ -49,28 +49,8 @@ class Mission:
 
     def save(self, file: str | os.PathLike) -> None:
         """Write the histories at 200 Hz (.npz): vehicle, carrier, estimate, deck, thrusts, distance."""
-        record = self.craft.record
-        flight = {field.name: getattr(record.flight(), field.name) for field in dataclasses.fields(Flight)}
-        phases = np.array([phase.name for phase in record.phases])
-        np.savez_compressed(file, **flight, distance=record.distance(), phases=phases)
-
-
-def run_mission(name: str, seed: int, choices: Choices | None = None) -> Mission:
-    """Fly the mission of a field and a seed; the same seed flies the same mission.
-
-    Args:
-        name: ``indoor`` or ``outdoor``.
-        seed: a whole number from 0 to 2^63 - 1.
-        choices: numbers that are fixed instead of drawn.
-
-    Raises:
-        ValueError: no such field, or no such seed.
-    """
-    case = draw_case(name, seed, choices)
-    craft = Craft(case)
-    planner = MissionPlanner(case.field, craft.pilot.airframe)
-    commander = Commander(craft, planner, case.field, np.asarray(case.goal))
-    carry_out(commander)
-    return Mission(
-        case, commander, craft, assess(craft.record, int(craft.memory.attempts), np.asarray(case.goal))
-    )
+        flight = {
+            field.name: getattr(self.record.flight(), field.name) for field in dataclasses.fields(Flight)
+        }
+        phases = np.array([phase.name for phase in self.record.phases])
+        np.savez_compressed(file, **flight, distance=self.record.distance(), phases=phases)

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscp.mission.attitudes import rotations
-from jaxscp.mission.craft import Record
+from jaxscp.mission.member import Record
 from jaxscp.mission.phases import Phase
 from jaxscp.simulation.bodies import DECK_HEIGHT, FEET, FOOT
 from jaxscp.simulation.simulate import TICK

@@ -36,7 +36,7 @@ def page(mission: Mission) -> Figure:
 
 def draw_view(ax: Axes, mission: Mission, axes: tuple[int, int]) -> Axes:
     """Obstacles, plans and the true path along two of the world's axes, in metres."""
-    flight = mission.craft.record.flight()
+    flight = mission.record.flight()
     a, b = axes
     draw_scene(ax, mission.case.scene, axes)
     for number, (_, planned) in enumerate(mission.commander.plans):
@@ -75,7 +75,7 @@ def draw_scene(ax: Axes, scene: Scene, axes: tuple[int, int]) -> None:
 
 def draw_take_off(ax: Axes, mission: Mission, seconds: float = 5.0) -> Axes:
     """Thrust as a fraction of the greatest, and height over the deck, against time."""
-    flight = mission.craft.record.flight()
+    flight = mission.record.flight()
     count = int(seconds / TICK)
     time = np.arange(1, len(flight.vehicle) + 1)[:count] * TICK
     share = flight.thrusts[:count].sum(axis=1) / float(mission.case.world.motors.thrust_max.sum())
@@ -89,7 +89,7 @@ def draw_take_off(ax: Axes, mission: Mission, seconds: float = 5.0) -> Axes:
 
 def draw_errors(ax: Axes, mission: Mission) -> Axes:
     """Drift of the odometry, and the error of the deck's estimated place relative to the vehicle, against time."""
-    flight = mission.craft.record.flight()
+    flight = mission.record.flight()
     time = np.arange(1, len(flight.vehicle) + 1) * TICK
     drift = (flight.estimate - flight.vehicle)[:, :3]
     deck = flight.deck[:, :3] - flight.estimate[:, :3]
@@ -118,7 +118,7 @@ def touchdowns(outcomes: Sequence[Outcome]) -> Figure:
 def animation(mission: Mission, file: str | os.PathLike) -> None:
     """Write a GIF: the flight from above and from the side, twice as fast as in truth."""
     figure = Figure(figsize=(9.0, 4.5), layout="constrained")
-    flight = mission.craft.record.flight()
+    flight = mission.record.flight()
     points = []
     for ax, axes in zip(figure.subplots(1, 2), ((0, 1), (1, 2)), strict=True):
         draw_view(ax, mission, axes)

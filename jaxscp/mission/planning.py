@@ -7,7 +7,6 @@ from typing import Any
 import equinox as eqx
 import jax
 import numpy as np
-import scipy
 from jaxtyping import Float
 
 from jaxscp.core.status import status_names
@@ -17,6 +16,7 @@ from jaxscp.landing import scenarios
 from jaxscp.landing.mission import Weights, at_rest, flight_limits
 from jaxscp.landing.scenario import LandingScenario
 from jaxscp.mission.fields import Field
+from jaxscp.mission.mapping import clearance
 from jaxscp.solver.planner import Planner
 
 POLYTOPES, FACES = (8, 16), 40  # sizes that compile once each
@@ -138,13 +138,6 @@ def carrier_points(deck: Place) -> Float[np.ndarray, "points 3"]:
     x, y = np.meshgrid(steps, steps, indexing="ij")
     plate = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1)
     return deck + np.concatenate([plate, plate - [0.0, 0.0, _VIRTUAL_SPACING]])
-
-
-def clearance(points: Float[np.ndarray, "points 3"], way: Float[np.ndarray, "samples 3"]) -> float:
-    """Least distance in m between points and samples of a way; infinite without points."""
-    if not len(points) or not len(way):
-        return np.inf
-    return float(scipy.spatial.KDTree(points).query(way)[0].min())
 
 
 def retreat(points: Float[np.ndarray, "points 3"], here: Place) -> Place | None:

@@ -44,23 +44,43 @@ class Scene(eqx.Module):
 
     def range(self, origin: Vector3, direction: Vector3) -> Scalar:
         """Distance in m along a unit direction to the first surface, infinite without one. From outside obstacles."""
-        safe = jnp.where(jnp.abs(direction) < 1e-12, 1e-12, direction)
-        near, far = _slab(self.centres - self.halves, self.centres + self.halves, origin, safe)
-        enter, leave = jnp.max(near, axis=-1), jnp.min(far, axis=-1)
-        boxes = jnp.where((enter <= leave) & (enter >= 0.0), enter, jnp.inf)
-        ground = jnp.where(safe[2] < 0.0, -origin[2] / safe[2], jnp.inf)
-        return jnp.minimum(jnp.min(jnp.concatenate([boxes, self._cylinders(origin, safe)])), ground)
+        return self.ranges(origin, direction[None])[0]
 
-    def _cylinders(self, origin: Vector3, direction: Vector3) -> Float[Array, "cylinders"]:
-        """Distances along a direction without a zero to the cylinders, infinite where a cylinder is missed."""
-        offset = origin[:2] - self.axes
-        a = direction[:2] @ direction[:2]
-        b, c = offset @ direction[:2], jnp.sum(offset**2, axis=-1) - self.radii**2
-        root = b**2 - a * c
-        half = jnp.sqrt(jnp.maximum(root, 0.0))
-        low, high = _slab(-_FAR, self.heights, origin[2], direction[2])
-        enter, leave = jnp.maximum((-b - half) / a, low), jnp.minimum((-b + half) / a, high)
-        return jnp.where((root > 0.0) & (enter <= leave) & (enter >= 0.0), enter, jnp.inf)
+    def ranges(self, origin: Vector3, directions: Float[Array, "rays 3"]) -> Float[Array, "rays"]:
+        """The same along many directions, obstacle by obstacle: all rays at once are one vector operation."""
+        ways = jnp.where(jnp.abs(directions) < 1e-12, 1e-12, directions).T
+        ground = jnp.where(ways[2] < 0.0, -origin[2] / ways[2], jnp.inf)
+
+        def box(nearest: Array, sides: tuple[Array, Array]):
+            return jnp.minimum(nearest, _box(sides, origin, ways)), None
+
+        def cylinder(nearest: Array, parts: tuple[Array, Array, Array]):
+            return jnp.minimum(nearest, _cylinder(parts, origin, ways)), None
+
+        boxes = self.centres - self.halves, self.centres + self.halves
+        nearest, _ = jax.lax.scan(box, ground, boxes)
+        return jax.lax.scan(cylinder, nearest, (self.axes, self.radii, self.heights))[0]
+
+
+def _box(sides: tuple[Array, Array], origin: Vector3, ways: Float[Array, "3 rays"]) -> Float[Array, "rays"]:
+    """Distances along rays to a box, infinite where it is missed."""
+    near, far = _slab(sides[0][:, None], sides[1][:, None], origin[:, None], ways)
+    enter, leave = jnp.max(near, axis=0), jnp.min(far, axis=0)
+    return jnp.where((enter <= leave) & (enter >= 0.0), enter, jnp.inf)
+
+
+def _cylinder(
+    parts: tuple[Array, Array, Array], origin: Vector3, ways: Float[Array, "3 rays"]
+) -> Float[Array, "rays"]:
+    """The same of an upright cylinder: axis, radius, height."""
+    axis, radius, height = parts
+    offset = origin[:2] - axis
+    a, b = ways[0] ** 2 + ways[1] ** 2, offset[0] * ways[0] + offset[1] * ways[1]
+    root = b**2 - a * (jnp.sum(offset**2) - radius**2)
+    half = jnp.sqrt(jnp.maximum(root, 0.0))
+    low, high = _slab(-_FAR, height, origin[2], ways[2])
+    enter, leave = jnp.maximum((-b - half) / a, low), jnp.minimum((-b + half) / a, high)
+    return jnp.where((root > 0.0) & (enter <= leave) & (enter >= 0.0), enter, jnp.inf)
 
 
 def _outside(out: Float[Array, "obstacles parts"]) -> Float[Array, "obstacles"]:

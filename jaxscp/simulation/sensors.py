@@ -171,19 +171,29 @@ class LiDAR(eqx.Module):
     greatest_range: Scalar = eqx.field(converter=as_floats, default=30.0)
     """m; no return beyond."""
 
+    def ranges(self, key: PRNGKeyArray, vehicle: State, scene: Scene) -> Float[Array, "rays"]:
+        """Distance along each direction, m; zero without a return.
+
+        Args:
+            key: random key.
+            vehicle: true state of the vehicle.
+            scene: obstacles.
+        """
+        noise, lost, leaf = jax.random.split(key, 3)
+        rays = self.directions.shape[:1]
+        turn = rotation_matrix(vehicle[6:10])
+        ranges = scene.ranges(vehicle[:3], self.directions @ turn.T)
+        foliage = jax.random.exponential(leaf, rays) / jnp.maximum(self.leaves, 1e-9)
+        ranges = jnp.minimum(ranges, foliage)
+        seen = (ranges < self.greatest_range) & (jax.random.uniform(lost, rays) > self.dropout)
+        return jnp.where(seen, ranges + self.noise * jax.random.normal(noise, rays), 0.0)
+
     def scan(
         self, key: PRNGKeyArray, vehicle: State, scene: Scene
     ) -> tuple[Float[Array, "rays 3"], Float[Array, "rays"]]:
         """Points in body axes, m, and weights: one for a return, zero for none. Points without return are zero."""
-        noise, lost, leaf = jax.random.split(key, 3)
-        rays = self.directions.shape[:1]
-        turn = rotation_matrix(vehicle[6:10])
-        ranges = jax.vmap(lambda d: scene.range(vehicle[:3], turn @ d))(self.directions)
-        foliage = jax.random.exponential(leaf, rays) / jnp.maximum(self.leaves, 1e-9)
-        ranges = jnp.minimum(ranges, foliage)
-        seen = (ranges < self.greatest_range) & (jax.random.uniform(lost, rays) > self.dropout)
-        noisy = jnp.where(seen, ranges + self.noise * jax.random.normal(noise, rays), 0.0)
-        return noisy[:, None] * self.directions, jnp.where(seen, 1.0, 0.0)
+        ranges = self.ranges(key, vehicle, scene)
+        return ranges[:, None] * self.directions, jnp.where(ranges == 0.0, 0.0, 1.0)
 
 
 def perturbed(q: Quaternion, angles: Vector3) -> Quaternion:

@@ -151,29 +151,37 @@ def _period(world: World, sensors: Sensors, function: Controller, loop: Loop) ->
     """Two inertial samples, then all other sensors and one command."""
     key = jax.random.fold_in(loop.key, loop.count)
     physics, sense = jax.random.split(key)
-    loop, flight = jax.lax.scan(
-        lambda loop, key: _physics(world, sensors, loop, key), loop, jax.random.split(physics, 2)
-    )
+
+    def tick(moving: tuple[WorldState, Estimate], key: PRNGKeyArray):
+        return _physics(world, sensors, loop, moving, key)
+
+    # not the whole loop: copies of a controller's memory would take longer than the physics
+    moving = loop.world, loop.observation.vehicle
+    (state, estimate), flight = jax.lax.scan(tick, moving, jax.random.split(physics, 2))
+    observation = Observation(estimate, loop.observation.deck)
+    loop = Loop(state, loop.sensors, observation, loop.controller, loop.command, loop.key, loop.count)
     measured, observation = _sense(sensors, loop, sense)
     controller, command = function(loop.controller, observation, loop.world.time)
     return Loop(loop.world, measured, observation, controller, command, loop.key, loop.count + 1), flight
 
 
-def _physics(world: World, sensors: Sensors, loop: Loop, key: PRNGKeyArray) -> tuple[Loop, Flight]:
+def _physics(
+    world: World, sensors: Sensors, loop: Loop, moving: tuple[WorldState, Estimate], key: PRNGKeyArray
+) -> tuple[tuple[WorldState, Estimate], Flight]:
     """Two steps of the world, one inertial sample of the mean acceleration, one prediction."""
-    before = vehicle_state(loop.world)
+    state, estimate = moving
+    before = vehicle_state(state)
     air, noise = jax.random.split(key)
     state = jax.lax.scan(
-        lambda s, k: (world.step(s, loop.command, k), None), loop.world, jax.random.split(air, 2)
+        lambda s, k: (world.step(s, loop.command, k), None), state, jax.random.split(air, 2)
     )[0]
     truth = vehicle_state(state)
     force, rate = _inertial(before, truth, world.airframe.body.gravity)
     sample = sensors.imu.measure(noise, force, rate, loop.sensors.bias)
-    estimate = sensors.estimator.predict(loop.observation.vehicle, sample, TICK)
-    observation = Observation(estimate, loop.observation.deck)
-    new = Loop(state, loop.sensors, observation, loop.controller, loop.command, loop.key, loop.count)
-    deck = observation.deck.mean.reshape(6)
-    return new, Flight(truth, carrier_state(state), observation.state(), deck, state.motors.thrusts)
+    estimate = sensors.estimator.predict(estimate, sample, TICK)
+    deck = loop.observation.deck.mean.reshape(6)
+    history = Flight(truth, carrier_state(state), estimate.state(), deck, state.motors.thrusts)
+    return (state, estimate), history
 
 
 def _inertial(before: State, after: State, gravity: Vector3) -> tuple[Vector3, Vector3]:

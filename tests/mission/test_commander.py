@@ -8,7 +8,8 @@ import pytest
 import jaxscp
 from jaxscp.mission import INDOOR, Phase
 from jaxscp.mission.commander import Commander, Task
-from jaxscp.mission.planning import Planned, clearance, retreat
+from jaxscp.mission.mapping import clearance
+from jaxscp.mission.planning import Planned, retreat
 
 GOAL = np.array([5.0, 17.0, 2.0])
 HOME = np.array([1.5, 2.0, 2.16])
@@ -16,29 +17,14 @@ UP = np.array([0.0, 0.0, 1.05])
 WALL = np.array([[5.0, y, z] for y in (9.0, 9.2) for z in (1.0, 1.2)])
 
 
-class FakePilot:
-    """Orders become notes."""
-
-    rules = types.SimpleNamespace(return_height=1.0)
-    still = types.SimpleNamespace(control=[None])
-    nmpc = types.SimpleNamespace(follow=lambda trajectory, *others: trajectory)
-
-    def with_plan(self, memory, plan, time):
-        return "plan", plan
-
-    def with_approach(self, memory, time):
-        return "approach", None
-
-    def with_stop(self, memory, place, time):
-        return "stop", place
-
-
 class FakeCraft:
     """Estimates, scans and orders."""
 
+    rules = types.SimpleNamespace(return_height=1.0)
+
     def __init__(self, scans=()):
-        self.pilot, self.phase, self.time, self.memory = FakePilot(), Phase.hover, 3.0, None
-        self.place, self.scans, self.orders, self.called = HOME + UP, list(scans), [], False
+        self.phase, self.time = Phase.hover, 3.0
+        self.place, self.scans, self.orders = HOME + UP, list(scans), []
 
     def state(self):
         return np.concatenate([self.place, np.zeros(10)])
@@ -49,14 +35,15 @@ class FakeCraft:
     def scan(self):
         return self.scans.pop(0) if self.scans else WALL
 
-    def order(self, memory):
-        self.orders.append(memory[0])
+    def follow(self, trajectory):
+        self.orders.append("plan")
+        return trajectory
 
-    def call_carrier(self):
-        self.called = True
+    def stop(self, place):
+        self.orders.append("stop")
 
-    def advance(self):
-        self.time += 0.5
+    def land(self):
+        self.orders.append("approach")
 
 
 def straight(start, goal):
@@ -90,11 +77,9 @@ def test_a_mission_goes_out_and_back_and_lands():
     craft.place = GOAL + 0.1
     one.look()
     assert (one.task, craft.orders) == (Task.back, ["plan", "plan"])
-    assert not craft.called
     craft.place = HOME + UP
     one.look()
     assert (one.task, craft.orders[-1]) == (Task.landing, "approach")
-    assert craft.called
     craft.phase = Phase.landed
     one.look()
     assert one.task == Task.done
@@ -104,7 +89,8 @@ def test_a_mission_goes_out_and_back_and_lands():
 def test_a_plan_that_a_new_scan_blocks_is_stopped(in_the_way):
     one = commander()
     craft = one.craft
-    craft.phase, craft.memory = Phase.cruise, types.SimpleNamespace(plan=straight(craft.place, GOAL))
+    craft.phase = Phase.cruise
+    one.references.append(straight(craft.place, GOAL))
     further = 0.2 * craft.place + 0.8 * GOAL  # the first 3 s of the plan are over
     craft.scans = [further + np.array([[0.05 if in_the_way else 1.0, 0.0, 0.0]])]
     one.look()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jaxscp.mission import Choices, Phase, Pilot, draw_case, run_mission
-from jaxscp.mission.craft import nominal_pilot
+from jaxscp.mission.member import nominal_pilot
 from jaxscp.simulation import IMU, Aerodynamics, Odometry, Sensors, World, advance, begin
 from jaxscp.simulation.vehicles import FEET_DEPTH
 
@@ -74,7 +74,7 @@ def test_a_mission_lands(seed):
     assert not outcome.collision
     assert outcome.touchdown < 0.08
     assert outcome.vertical_speed < 0.5
-    assert mission.craft.record.phases[-1] == Phase.landed
+    assert mission.record.phases[-1] == Phase.landed
 
 
 @pytest.mark.nightly

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from jaxscp.mission import Phase, assess
-from jaxscp.mission.craft import Record
+from jaxscp.mission.member import Record
 from jaxscp.simulation import Flight
 
 TICKS, RATE = 600, 200
