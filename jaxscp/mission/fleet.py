@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Int, Key, PRNGKeyArray
 
 from jaxscp.control import Reference
 from jaxscp.core.trees import tree_where
@@ -103,7 +103,7 @@ class Flights(eqx.Module):
 
     world: World
     scene: Scene
-    key: PRNGKeyArray
+    key: Key[Array, "*slots"]
     loop: Loop
 
 
@@ -141,7 +141,9 @@ def _placed(slots: Array, old: Flights, new: Flights) -> Flights:
 
 
 @eqx.filter_jit(donate="all-except-first")
-def _advanced(constant: tuple[Sensors, Pilot], flights: Flights, moving: Flag) -> tuple[Flights, Seen]:
+def _advanced(
+    constant: tuple[Sensors, Pilot], flights: Flights, moving: Bool[Array, "slots"]
+) -> tuple[Flights, Seen]:
     sensors, pilot = constant
 
     def one(flights: Flights, moving: Flag) -> tuple[Loop, Seen]:
