@@ -218,7 +218,7 @@ def fly_on_device(tasks: dict[str, list[int]], asked: argparse.Namespace) -> Non
             flown = run_missions(
                 requests(name, seeds, asked.wind),
                 min(asked.slots, max(len(seeds), 1)),
-                WorkerCrews(pool, name, row_of),
+                WorkerCrews(pool, row_of),
             )
             jobs.append(threads.submit(write, flown, asked.rows, asked.wind))
         for job in jobs:

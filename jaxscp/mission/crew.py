@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import itertools
 import multiprocessing
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -16,7 +17,7 @@ from jaxscp.mission.commander import Commander, Task
 from jaxscp.mission.fleet import Start
 from jaxscp.mission.member import Member, Order, Record, Row, nominal_pilot
 from jaxscp.mission.mission import Mission
-from jaxscp.mission.outcome import assess
+from jaxscp.mission.outcome import Outcome, assess
 from jaxscp.mission.phases import Phase
 from jaxscp.mission.pilot import Pilot
 from jaxscp.mission.planning import MissionPlanner
@@ -76,7 +77,7 @@ class Crew:
     """Commanders in this process.
 
     Args:
-        finish: what is kept of a mission: a function of ``Mission``. By default all.
+        finish: a function of ``Mission``, whose value is kept. By default all is.
     """
 
     def __init__(self, finish: Callable[[Mission], Any] = lambda mission: mission) -> None:
@@ -122,17 +123,25 @@ class Crew:
         return Answer(duty.member.ordered())
 
 
+def result(mission: Mission) -> tuple[Request, Outcome]:
+    """What ``WorkerCrews`` keeps of a mission by default: records are large."""
+    return mission.request, mission.outcome
+
+
 class WorkerCrews:
     """Commanders in processes, each of which keeps its slots.
 
     Args:
-        workers: executors of one process each, see ``workers``.
-        name: of the fleet: several fleets may share workers.
-        finish: see ``Crew``; it travels to the workers.
+        pool: executors of one process each, of ``workers``. Several fleets may share them.
+        finish: a function of ``Mission``, whose value is kept, in a module that the processes can import. By default
+            request and outcome are.
     """
 
-    def __init__(self, workers: Sequence[Executor], name: str, finish: Callable[[Mission], Any]) -> None:
-        self._workers, self._name, self._finish = workers, name, finish
+    def __init__(self, pool: Sequence[Executor], finish: Callable[[Mission], Any] = result) -> None:
+        if not pool:
+            raise ValueError("pool: expected one worker or more, got none")
+        self._pool, self._finish = pool, finish
+        self._number = next(_numbers)
 
     def begin(self, requests: Mapping[int, Request]) -> list[Future[dict[int, Start]]]:
         """See ``Commanders``."""
@@ -143,23 +152,25 @@ class WorkerCrews:
         quick: dict[int, dict[int, Row]] = {}
         for slot, row in rows.items():
             if row.phase != Phase.hover:
-                quick.setdefault(slot % len(self._workers), {})[slot] = row
+                quick.setdefault(slot % len(self._pool), {})[slot] = row
         resting = [(slot, {slot: row}) for slot, row in rows.items() if row.phase == Phase.hover]
         return [self._asked(_answers, slot, share) for slot, share in (*quick.items(), *resting)]
 
     def _asked(self, function: Callable[..., Any], slot: int, values: Mapping[int, Any]) -> Future[Any]:
-        return self._workers[slot % len(self._workers)].submit(function, self._name, self._finish, values)
+        worker = self._pool[slot % len(self._pool)]
+        return worker.submit(function, self._number, self._finish, values)
 
 
-_crews: dict[str, Crew] = {}  # of a worker process
+_numbers = itertools.count()  # of the crews that this process asks
+_crews: dict[int, Crew] = {}  # of a worker process, by those numbers
 
 
-def _begun(name: str, finish: Callable[[Mission], Any], requests: Mapping[int, Request]) -> Any:
-    return _crews.setdefault(name, Crew(finish)).begun(requests)
+def _begun(number: int, finish: Callable[[Mission], Any], requests: Mapping[int, Request]) -> Any:
+    return _crews.setdefault(number, Crew(finish)).begun(requests)
 
 
-def _answers(name: str, finish: Callable[[Mission], Any], rows: Mapping[int, Row]) -> Any:
-    return _crews[name].answers(rows)
+def _answers(number: int, finish: Callable[[Mission], Any], rows: Mapping[int, Row]) -> Any:
+    return _crews[number].answers(rows)
 
 
 def _done(value: Any) -> Future[Any]:
@@ -170,7 +181,11 @@ def _done(value: Any) -> Future[Any]:
 
 @contextlib.contextmanager
 def workers(count: int) -> Iterator[list[ProcessPoolExecutor]]:
-    """Processes for ``WorkerCrews``. They use the CPU alone: the device is the fleet's."""
+    """Processes for ``WorkerCrews``, each on its core. They use the CPU alone: the device is the fleet's.
+
+    Args:
+        count: of processes; one core should stay free for the process of the fleet.
+    """
     context = multiprocessing.get_context("spawn")  # a fork would copy JAX's threads in any state
     double = bool(jax.config.jax_enable_x64)  # pyright: ignore[reportAttributeAccessIssue]
     start = {"mp_context": context, "initializer": _started}

@@ -27,7 +27,7 @@ _SCANS = 7  # number of the key of scans
 
 
 class Start(NamedTuple):
-    """What a fleet needs of a case, as arrays of the host."""
+    """The part of a case that a fleet needs, as arrays of the host."""
 
     world: World
     scene: Scene
@@ -59,7 +59,7 @@ class Fleet:
         self._scans = np.zeros(slots, int)
 
     def begin(self, starts: Mapping[int, Start]) -> None:
-        """Begin flights in slots; what was there is lost. All flights have the field of the first."""
+        """Begin flights in slots, instead of those that are there. All flights have the field of the first."""
         for chosen in _groups(sorted(starts), self._group):
             group = [starts[slot] for slot in chosen]
             self._lidar = self._lidar or _on_device(group[0].lidar)
@@ -108,7 +108,7 @@ class Flights(eqx.Module):
 
 
 class Seen(eqx.Module):
-    """What a part of the flight leaves: history, distance from the obstacles in m, and the pilot's knowledge."""
+    """Half a second of flights: history, distance from the obstacles in m, and the knowledge of the pilots."""
 
     flight: Flight
     distance: Float[Array, "*slots ticks"]
@@ -205,7 +205,7 @@ def _set(old: Any, slots: Array, new: Any) -> Any:
 
 
 def _stacked(trees: Sequence[Any]) -> Any:
-    """Trees of arrays of the host as one, a first axis in front; parts that are no arrays are those of the first."""
+    """Trees of arrays of the host as one, with an axis in front. All agree in the parts that are no arrays."""
     together = lambda *x: np.stack(x) if eqx.is_array_like(x[0]) else x[0]  # noqa: E731
     return jax.tree.map(together, *trees)
 

@@ -108,8 +108,7 @@ class Member:
         """Order a cruise along a plan, and return its reference."""
         hover = self.pilot.still.control[0]
         plan = self.pilot.nmpc.follow(trajectory, self.time + _LATENCY, hover, SAMPLES)
-        plan = jax.tree.map(np.asarray, plan)
-        self._ordered = Order(Phase.cruise, self.time, plan=plan)
+        self._ordered = Order(Phase.cruise, self.time, plan=jax.tree.map(np.asarray, plan))
         return plan
 
     def stop(self, place: Float[np.ndarray, "3"]) -> None:

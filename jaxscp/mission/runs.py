@@ -39,14 +39,16 @@ def run_missions(
     Args:
         requests: missions, all of one field.
         slots: flights at a time.
-        crew: commanders; ``Crew()`` by default, in this process. ``WorkerCrews`` uses more cores.
+        crew: commanders; ``Crew()`` by default, in this process. ``WorkerCrews`` plans on more cores.
 
     Yields:
-        ``Mission``, or what the crew's ``finish`` makes of it.
+        ``Mission``, or the crew's ``finish`` of it.
 
     Raises:
-        ValueError: no such field or seed, or several fields.
+        ValueError: no such field or seed, several fields, or no slot.
     """
+    if slots < 1:
+        raise ValueError(f"slots: expected one or more, got {slots}")
     return _Runs(requests, slots, crew or Crew()).results()
 
 
@@ -61,7 +63,7 @@ class _Runs:
         self.pending: set[Future[Any]] = set()
 
     def results(self) -> Iterator[Any]:
-        """What is kept of each mission, as it ends."""
+        """Of each mission, as it ends, the part that the crew keeps."""
         while self.begin() or self.pending or self.ready:
             yield from self.taken(self.answered())
             if self.ready:

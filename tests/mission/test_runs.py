@@ -91,6 +91,13 @@ def test_missions_of_two_fields_are_refused(fleets):
         list(run_missions([Request("indoor", 0), Request("outdoor", 0)], 2, FakeCrew()))
 
 
+def test_slots_and_workers_are_needed():
+    with pytest.raises(ValueError, match="slots: expected one or more, got 0"):
+        run_missions([Request("indoor", 0)], slots=0)
+    with pytest.raises(ValueError, match="pool: expected one worker or more"):
+        WorkerCrews([])
+
+
 def test_no_request_flies_nothing(fleets):
     assert list(run_missions([], 2, FakeCrew())) == []
 
@@ -101,7 +108,7 @@ def test_groups_have_one_size():
 
 
 def touchdown(mission: Mission) -> tuple[int, float]:
-    """What a worker keeps of a mission."""
+    """Seed and touch-down, of a worker."""
     assert mission.accomplished
     return mission.request.seed, mission.outcome.touchdown
 
@@ -113,6 +120,6 @@ def test_missions_side_by_side_are_those_alone():
     alone = {seed: run_mission(field, seed).outcome.touchdown for field, seed, _ in asked}
     together = dict(map(touchdown, run_missions(asked, slots=2)))
     with workers(2) as pool:
-        apart = dict(run_missions(asked, 2, WorkerCrews(pool, "indoor", touchdown)))
+        planned_apart = dict(run_missions(asked, 2, WorkerCrews(pool, touchdown)))
     assert together == pytest.approx(alone, abs=SAME)
-    assert apart == pytest.approx(alone, abs=SAME)
+    assert planned_apart == pytest.approx(alone, abs=SAME)
