@@ -209,6 +209,8 @@ def main() -> None:
     )
     which.add_argument("--long", action="store_true", help="one sweep by two processes, and its memory")
     asked = parser.parse_args()
+    if asked.long and asked.count < PAIR * asked.chunk:
+        parser.error(f"--long: {PAIR} processes need {PAIR} chunks, {PAIR * asked.chunk} instances or more")
     measured = measure_batches if asked.gpu else measure_long if asked.long else measure
     with tempfile.TemporaryDirectory() as folder:
         found = measured(asked.count, asked.mode, asked.chunk, Path(folder))
