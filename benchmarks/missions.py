@@ -215,11 +215,7 @@ def fly_on_device(tasks: dict[str, list[int]], asked: argparse.Namespace) -> Non
     with workers(asked.workers) as pool, ThreadPoolExecutor(len(tasks)) as threads:
         jobs = []
         for name, seeds in tasks.items():
-            flown = run_missions(
-                requests(name, seeds, asked.wind),
-                min(asked.slots, max(len(seeds), 1)),
-                WorkerCrews(pool, row_of),
-            )
+            flown = run_missions(requests(name, seeds, asked.wind), asked.slots, WorkerCrews(pool, row_of))
             jobs.append(threads.submit(write, flown, asked.rows, asked.wind))
         for job in jobs:
             job.result()

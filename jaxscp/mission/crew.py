@@ -5,6 +5,7 @@ import dataclasses
 import itertools
 import multiprocessing
 import os
+import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from typing import Any, NamedTuple, Protocol, runtime_checkable
@@ -198,7 +199,8 @@ def workers(count: int) -> Iterator[list[ProcessPoolExecutor]]:
 
 
 def _started(double: bool, number: int) -> None:
-    """Set up a worker: its core, the precision of the caller, and the CPU alone."""
+    """Set up a worker: no answer to Ctrl-C (the caller answers), its core, the caller's precision, the CPU alone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(os, "sched_setaffinity"):
         cores = sorted(os.sched_getaffinity(0))
         os.sched_setaffinity(0, {cores[number % len(cores)]})

@@ -38,7 +38,7 @@ def run_missions(
 
     Args:
         requests: missions, all of one field.
-        slots: flights at a time.
+        slots: flights at a time, at most.
         crew: commanders; ``Crew()`` by default, in this process. ``WorkerCrews`` plans on more cores.
 
     Yields:
@@ -49,7 +49,9 @@ def run_missions(
     """
     if slots < 1:
         raise ValueError(f"slots: expected one or more, got {slots}")
-    return _Runs(requests, slots, crew or Crew()).results()
+    rest = iter(requests)
+    first = list(itertools.islice(rest, slots))  # slots without a flight would be computed all the same
+    return _Runs(itertools.chain(first, rest), max(len(first), 1), crew or Crew()).results()
 
 
 class _Runs:

@@ -76,6 +76,7 @@ def fleets(monkeypatch):
 def test_all_missions_end_whatever_the_slots(fleets, slots):
     asked = [Request("indoor", seed) for seed in (3, 1, 4, 1, 5, 9, 2, 6)]
     assert sorted(run_missions(asked, slots, FakeCrew())) == [1, 1, 2, 3, 4, 5, 6, 9]
+    assert fleets[0].slots == min(slots, 8)
 
 
 def test_a_slow_commander_stops_his_own_flight_alone(fleets):
