@@ -72,7 +72,7 @@ class Fleet:
     def advance(self, active: Sequence[int]) -> dict[int, Row]:
         """Half a second of the active flights, and what became of them; the others wait."""
         assert self._flights is not None, "no flight has begun"
-        moving = jnp.zeros(self.slots, bool).at[jnp.asarray(active)].set(True)
+        moving = jnp.asarray(np.isin(np.arange(self.slots), active))
         self._flights, seen = _advanced((self._sensors, self._pilot), self._flights, moving)
         host = jax.tree.map(np.asarray, seen)
         scanning = [slot for slot in active if host.phase[slot] in (Phase.hover, Phase.cruise)]

@@ -11,7 +11,6 @@ from jaxscp.mission.commander import Commander
 from jaxscp.mission.member import LOOK, Record
 from jaxscp.mission.outcome import Outcome
 from jaxscp.mission.phases import Phase
-from jaxscp.simulation import Flight
 from jaxscp.simulation.simulate import TICK
 
 GOAL_REACHED = 1.5
@@ -49,8 +48,7 @@ class Mission:
 
     def save(self, file: str | os.PathLike) -> None:
         """Write the histories at 200 Hz (.npz): vehicle, carrier, estimate, deck, thrusts, distance."""
-        flight = {
-            field.name: getattr(self.record.flight(), field.name) for field in dataclasses.fields(Flight)
-        }
+        whole = self.record.flight()
+        flight = {field.name: getattr(whole, field.name) for field in dataclasses.fields(whole)}
         phases = np.array([phase.name for phase in self.record.phases])
         np.savez_compressed(file, **flight, distance=self.record.distance(), phases=phases)
