@@ -97,13 +97,15 @@ class Unit(NamedTuple):
 def compile_libraries(compiler: str, root: Path, levels: dict[str, tuple[str, ...]]) -> list[Path]:
     """Files of all libraries for all instruction sets: sources are compiled side by side, then linked.
 
+    One compiler a core, the longest source first: more of them at once take a fifth longer on two cores.
+
     Args:
         compiler: C++ compiler.
         root: folder of the project.
         levels: compiler flags of each instruction set, by its name.
     """
     files = []
-    with tempfile.TemporaryDirectory() as scratch, ThreadPoolExecutor() as pool:
+    with tempfile.TemporaryDirectory() as scratch, ThreadPoolExecutor(os.cpu_count()) as pool:
         units = {}
         for stem in LIBRARIES:
             shared = units_of_any(root, stem, Path(scratch))

@@ -17,7 +17,9 @@ FEASIBLE = 1e-6  # in each row's own unit
 SEEDS = range(12)
 
 
-@pytest.fixture(scope="module", params=[True, False], ids=["compiled", "as JAX"])
+@pytest.fixture(
+    scope="module", params=[True, pytest.param(False, marks=pytest.mark.slow)], ids=["compiled", "as JAX"]
+)
 def solve(request):
     return eqx.filter_jit(InteriorPoint(compiled=request.param))
 

@@ -127,6 +127,7 @@ def iterate(solver, programs, warm_start=None):
 
 
 @needs_compiler
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "warm", [False, pytest.param(True, marks=pytest.mark.nightly)], ids=["cold start", "warm start"]
 )

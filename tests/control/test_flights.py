@@ -59,7 +59,7 @@ def test_the_vertical_loop_is_stable_against_suction():
     assert set(jaxscp.status_names(record.status)) == {"converged"}
 
 
-@pytest.mark.parametrize("fraction", [0.9, 1.1])
+@pytest.mark.parametrize("fraction", [pytest.param(0.9, marks=pytest.mark.slow), 1.1])
 def test_a_hover_has_no_offset_under_wind_and_another_mass(fraction):
     downwards = jnp.array([1.0, 1e9])  # N, a constant force
     plant = Plant(heavy(fraction), MOTORS, 0.0 * NOISE, suction, downwards)

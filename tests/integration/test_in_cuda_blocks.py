@@ -52,7 +52,9 @@ def emulated(folder, order):
 
 
 @needs_compiler
-@pytest.mark.parametrize("function", ORDERS)
+@pytest.mark.parametrize(
+    "function", [pytest.param(f, marks=[pytest.mark.slow] * (f == "evaluate")) for f in ORDERS]
+)
 @pytest.mark.parametrize("rate", ["no parameters", pytest.param("every operation", marks=pytest.mark.slow)])
 def test_kernel_equals_jax(rate, function, tmp_path):
     order = ORDERS[function]

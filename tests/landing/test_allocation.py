@@ -37,6 +37,7 @@ def test_every_polytope_has_intervals_in_order_and_the_last_enough_to_land(lengt
 
 @settings(max_examples=8, deadline=None)
 @given(st.lists(st.floats(0.2, 20.0), min_size=1, max_size=6), st.integers(8, 60), st.integers(1, 5))
+@pytest.mark.slow
 def test_padding_changes_no_allocation(lengths, nodes, more):
     corridor, start, goal = hall(lengths)
     expected = allocate(route_of(corridor, start, goal), nodes)

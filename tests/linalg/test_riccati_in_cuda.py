@@ -30,7 +30,7 @@ def assert_close(expected, found, tolerance=ROUNDING):
 
 
 @needs_compiler
-@pytest.mark.parametrize("convex", [True, False])
+@pytest.mark.parametrize("convex", [pytest.param(True, marks=pytest.mark.slow), False])
 @pytest.mark.parametrize(
     "sizes", [(5, 4, 2), *(pytest.param(s, marks=pytest.mark.slow) for s in [(3, 2, 1), (2, 5, 2)])]
 )

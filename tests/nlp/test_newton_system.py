@@ -28,7 +28,11 @@ def in_band(x, u, t, p):
     return (2.0 - (x[0] - 0.3) ** 2 - 0.1 * u[0] ** 2)[None]
 
 
-@pytest.mark.parametrize("where", [js.AtNodes(), js.Throughout()], ids=["at nodes", "throughout"])
+@pytest.mark.parametrize(
+    "where",
+    [pytest.param(js.AtNodes(), marks=pytest.mark.slow), js.Throughout()],
+    ids=["at nodes", "throughout"],
+)
 def test_the_matrix_is_the_derivative_of_the_conditions(where):
     """At any point with multipliers inside their cones; also where a constraint holds at some nodes alone."""
     active = np.array([False, True, True, False, True])

@@ -60,6 +60,7 @@ def landing(number):
     return problem, scenario.guess(problem, context)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:corridor")  # rooms that are narrow for the vehicle
 @pytest.mark.parametrize("number", [30003, 30036, 30337])
 def test_rounding_in_a_guess_is_no_size(number):
