@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int, UInt32
 from numpy.typing import ArrayLike
 
 from jaxscp.core.arrays import unit_lengths
@@ -184,10 +184,17 @@ def _by_voxel(points: Float[np.ndarray, "points 3"], voxel: float) -> tuple[np.n
         for axis in range(3):
             key *= kind(sizes[axis])
             key += np.floor((points[:, axis] - low[axis]) / voxel).astype(kind)
-        order = np.argsort(key)
+        order = _sorted(key) if kind is np.uint32 else np.argsort(key)
         key = key[order]
         changed = key[1:] != key[:-1]
     return order, np.concatenate([[0], np.flatnonzero(changed) + 1])
+
+
+def _sorted(key: UInt32[np.ndarray, "points"]) -> Int[np.ndarray, "points"]:
+    """An order that sorts: NumPy sorts numbers of 16 bits by radix, twice of which takes two thirds of one sort."""
+    low = np.argsort(key.astype(np.uint16), kind="stable")
+    high = (key >> 16).astype(np.uint16)
+    return low[np.argsort(high[low], kind="stable")]
 
 
 def _warn_of_units(points: np.ndarray, source: str) -> None:

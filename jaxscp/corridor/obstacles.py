@@ -35,12 +35,10 @@ def inside_corridor(corridor: Corridor, cloud: PointCloud, margin: float = 0.0) 
         >>> inside_corridor(room, cloud).tolist(), inside_corridor(room, cloud, margin=0.25).tolist()
         ([True, False, False], [True, True, False])
     """
-    cells = corridor.distinct()
-    near = np.flatnonzero(_in_box(cells, cloud, margin))
-    candidates = PointCloud(cloud.points[near])
     inside = np.zeros(cloud.count, bool)
-    for cell in cells:
-        inside[near] |= candidates.inside(cell, margin)
+    for cell in corridor.distinct():
+        near = np.flatnonzero(_in_box(cell, cloud, margin))
+        inside[near] |= PointCloud(cloud.points[near]).inside(cell, margin)
     return inside
 
 
@@ -99,11 +97,9 @@ def padded_obstacles(
     return Obstacles(jnp.asarray(points), *masks, floats(cloud.spread), floats(radius))
 
 
-def _in_box(cells: list[Polytope], cloud: PointCloud, margin: float) -> Bool[np.ndarray, "points"]:
-    """Points in the box about all polytopes; all points where one of them has no bounds."""
-    corners = [vertices(cell) for cell in cells]
-    if not all(len(c) for c in corners):
+def _in_box(cell: Polytope, cloud: PointCloud, margin: float) -> Bool[np.ndarray, "points"]:
+    """Points in the box about a polytope; all points where it has no bounds."""
+    corners = vertices(cell)
+    if not len(corners):
         return np.ones(cloud.count, bool)
-    found = np.concatenate(corners)
-    low, high = found.min(axis=0) - margin, found.max(axis=0) + margin
-    return within(cloud.points, low, high)
+    return within(cloud.points, corners.min(axis=0) - margin, corners.max(axis=0) + margin)

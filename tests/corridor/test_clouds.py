@@ -44,6 +44,16 @@ def test_every_point_has_one_left_within_the_spread(voxel):
     assert KDTree(thinned.points).query(cloud.points)[0].max() <= thinned.spread + 1e-12
 
 
+@pytest.mark.parametrize("voxel", [0.05, 0.3, 2.0])
+def test_one_point_a_voxel_is_left_in_the_middle_of_its_points(voxel):
+    points = PointCloud.of(POINTS).points
+    cells = np.floor((points - points.min(axis=0)) / voxel)
+    voxels, of = np.unique(cells, axis=0, return_inverse=True)
+    groups = [points[of.ravel() == k] for k in range(len(voxels))]
+    expected = [0.5 * (g.min(axis=0) + g.max(axis=0)) for g in groups]
+    np.testing.assert_array_equal(PointCloud.of(POINTS).thinned(voxel).points, expected)
+
+
 def test_spread_adds_up_when_thinned_twice():
     first_order_only = PointCloud.of(POINTS).thinned(0.5)
     assert first_order_only.thinned(1.0).spread >= first_order_only.spread

@@ -129,3 +129,25 @@ def test_points_near_a_corridor_are_padded_and_those_inside_are_found():
 def test_points_in_a_polytope_without_bounds_are_found():
     half = connect([Polytope(jnp.array([[0.0, 0.0, 1.0]]), jnp.zeros(1))], [])
     assert inside_corridor(half, PointCloud.of([[0, 0, -1e3], [0, 0, 1]])).tolist() == [True, False]
+
+
+def wedge(random, middle):
+    """A box about a place, cut by a slant plane: two of its edges are sharp."""
+    slant = random.normal(size=3) * [1.0, 0.1, 1.0]
+    normals = np.concatenate([np.eye(3), -np.eye(3), slant[None] / np.linalg.norm(slant)])
+    offsets = np.append(random.uniform(1.0, 2.0, 6), 0.2) + normals @ np.full(3, middle)
+    return Polytope(jnp.asarray(normals), jnp.asarray(offsets))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_every_point_within_the_margin_of_a_polytope_is_found(seed):
+    random, margin = np.random.default_rng(seed), 0.4
+    cells = [wedge(random, middle) for middle in (0.0, 0.5)]
+    rows = (jnp.stack([c.normals for c in cells]), jnp.stack([c.offsets for c in cells]))
+    corridor = Corridor(*rows, jnp.zeros((1, 3)))
+    places = random.uniform(-3.0, 3.0, (3000, 3))
+    inside = np.any([np.all(places @ c.normals.T <= c.offsets, axis=1) for c in cells], axis=0)
+    ways = random.normal(size=places.shape)
+    near = places + margin * ways / np.linalg.norm(ways, axis=1, keepdims=True)
+    assert np.count_nonzero(inside) > 20
+    assert inside_corridor(corridor, PointCloud.of(near[inside]), margin).all()
