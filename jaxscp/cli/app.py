@@ -17,7 +17,7 @@ import typer
 from rich.console import Console
 
 from jaxscp.aot.installation import installation
-from jaxscp.cli.endings import Commands, check_platform, refusals, told_warnings
+from jaxscp.cli.endings import Commands, check_platform, refusals, told_of_files, told_warnings
 from jaxscp.cli.info import info_text
 from jaxscp.cli.map_options import MapOptions, closed_gap, gap_text
 from jaxscp.cli.mission_command import MissionRequest
@@ -99,6 +99,7 @@ def plan(request: PlanRequest) -> None:
     else:
         print_report(Console(), title, solution, timing)
     _write_files(request, scenario, solution)
+    told_of_files(notes, request.save, request.csv, request.plot)
     raise typer.Exit(0 if converged(solution) else 1)
 
 

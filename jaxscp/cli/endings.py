@@ -1,9 +1,13 @@
-"""How a command ends where the request was wrong: a message, exit code 2, and one JSON object if that was asked for."""
+"""How a command ends: it names the files that it wrote, or what was wrong with the request.
+
+A wrong request gives a message, exit code 2, and one JSON object if that was asked for.
+"""
 
 import json
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -70,3 +74,10 @@ def check_platform() -> None:
         asked = jax.config.jax_platforms  # pyright: ignore[reportAttributeAccessIssue]
         why = str(error) or "no such device, or its plugin is not installed"
         raise typer.BadParameter(f"JAX cannot run on JAX_PLATFORMS={asked}: {why}") from error
+
+
+def told_of_files(notes: Console, *files: Path | None) -> None:
+    """Say which files were written; None stands for one that was not asked for."""
+    written = [str(file) for file in files if file is not None]
+    if written:
+        notes.print(f"wrote {', '.join(written)}", markup=False, highlight=False, soft_wrap=True)

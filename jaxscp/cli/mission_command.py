@@ -9,7 +9,7 @@ import numpy as np
 import typer
 from rich.console import Console
 
-from jaxscp.cli.endings import check_platform, refusals
+from jaxscp.cli.endings import check_platform, refusals, told_of_files
 from jaxscp.cli.map_options import finite, known, one_of
 from jaxscp.cli.requests import CACHE, JSON, writable
 from jaxscp.core.extras import of_extra
@@ -58,8 +58,8 @@ class MissionRequest:
         if self.video is not None and self.video.suffix.lower() != ".gif":
             raise typer.BadParameter(f"{self.video} is no animation; end its name in .gif")
         check_platform()
+        notes = Console(stderr=True, style="dim")
         if not self.as_json:
-            notes = Console(stderr=True, style="dim")
             notes.print(
                 f"flying {self.field}, seed {self.seed}: compiling first, which takes a minute or two ..."
             )
@@ -73,6 +73,7 @@ class MissionRequest:
         else:
             Console().print(text(facts(mission, self)), markup=False, highlight=False, soft_wrap=True)
         self._write(mission)
+        told_of_files(notes, self.save, self.plot, self.video)
         return mission.accomplished
 
     def _write(self, mission: "Mission") -> None:

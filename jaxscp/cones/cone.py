@@ -51,8 +51,12 @@ class Cone(eqx.Module):
         """Jacobian of ``margin``, from the values and their Jacobian."""
 
     @abc.abstractmethod
+    def violations(self, values: Rows) -> Conditions:
+        """Violation of each condition, in the unit of the values; negative inside."""
+
     def violation(self, values: Float[Array, "rows"]) -> Scalar:
         """Largest violation, in the unit of the values; negative inside."""
+        return jnp.max(self.violations(values))
 
     @abc.abstractmethod
     def project_dual(self, v: Rows) -> Rows:
@@ -96,9 +100,9 @@ class Zero(Cone):
         """The Jacobian of the values themselves."""
         return jacobian
 
-    def violation(self, values: Float[Array, "rows"]) -> Scalar:
-        """Largest absolute value."""
-        return jnp.max(jnp.abs(values))
+    def violations(self, values: Rows) -> Conditions:
+        """Absolute values."""
+        return jnp.abs(values)
 
     def project_dual(self, v: Rows) -> Rows:
         """The dual cone is the whole space."""
@@ -119,6 +123,10 @@ class Zero(Cone):
 
 class SymmetricCone(Cone):
     """A cone with an interior, its own dual: interior points work on pairs (slack s, multiplier y) inside it."""
+
+    def violations(self, values: Rows) -> Conditions:
+        """Minus the margin."""
+        return -self.margin(values)
 
     @abc.abstractmethod
     def identity(self, rows: int) -> Float[Array, "rows"]:
@@ -167,10 +175,6 @@ class NonNegative(SymmetricCone):
     def margin_jacobian(self, values, jacobian):
         """The Jacobian of the values."""
         return jacobian
-
-    def violation(self, values: Float[Array, "rows"]) -> Scalar:
-        """Minus the least value."""
-        return -jnp.min(values)
 
     def project_dual(self, v: Rows) -> Rows:
         """max(v, 0)."""
@@ -232,10 +236,6 @@ class SecondOrder(SymmetricCone):
         unit = values[..., 1:] / jnp.maximum(norm, 1e-6)
         inward = jnp.einsum("...k,...kw->...w", unit, jacobian[..., 1:, :])
         return (jacobian[..., 0, :] - inward)[..., None, :]
-
-    def violation(self, values: Float[Array, "rows"]) -> Scalar:
-        """|v| - t."""
-        return jnp.linalg.norm(values[1:]) - values[0]
 
     def project_dual(self, v: Rows) -> Rows:
         """Projection onto the cone, its own dual."""

@@ -6,9 +6,10 @@ a(t + tick) = a + (1 - exp(-tick / T)) (c - a), exact for a first-order lag.
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
-from jaxscp.core.arrays import as_floats
+from jaxscp.core.arrays import as_floats, namespace
 from jaxscp.core.types import Scalar
 
 Control = Float[Array, "controls"]
@@ -46,6 +47,16 @@ class Actuators(eqx.Module):
             )
         if not isinstance(self.delay, int) or self.delay < 0:
             raise ValueError(f"delay: a whole number of ticks is expected, got {self.delay!r}")
+        if namespace(self) is not np:
+            return  # numbers that are not known yet
+        if not np.all(self.lower <= self.upper):
+            raise ValueError(
+                f"lower, upper: the least control must not exceed the greatest, got {self.lower} and {self.upper}"
+            )
+        if not np.all(self.rate > 0.0):
+            raise ValueError(f"rate: the greatest change a second must be positive, got {self.rate}")
+        if not np.all((self.time_constant >= 0.0) & np.isfinite(self.time_constant)):
+            raise ValueError(f"time_constant: seconds, zero or more, are expected, got {self.time_constant}")
 
     def advance(self, active, command, tick: Scalar | float) -> Control:
         """Controls a tick later, under a command that acts now.

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxscp.core.arrays import as_floats, floats
+from jaxscp.core.arrays import as_floats, floats, namespace
 from jaxscp.core.types import Scalar
 
 
@@ -45,6 +45,18 @@ class Horizon(eqx.Module):
         if self.iterations < 1 or self.steps < 1:
             raise ValueError(
                 f"iterations, steps: one or more are needed, got {self.iterations} and {self.steps}"
+            )
+        if not self.tolerance > 0.0:
+            raise ValueError(f"tolerance: must be positive, got {self.tolerance}")
+        if namespace(self) is not np:
+            return  # numbers that are not known yet
+        if not np.all((self.tick > 0.0) & np.isfinite(self.tick)):
+            raise ValueError(
+                f"tick: seconds between two calls, more than zero, are expected, got {self.tick}"
+            )
+        if not (self.intervals.size and np.all((self.intervals > 0.0) & np.isfinite(self.intervals))):
+            raise ValueError(
+                f"intervals: one length or more is expected, each positive, in s, got {self.intervals}"
             )
 
     @property

@@ -169,11 +169,13 @@ class NMPC(eqx.Module):
 
     @eqx.filter_jit
     def _tick(self, reference: Reference, state: NMPCState, estimate: Array, time: Scalar):
+        told = jnp.isfinite(time)
+        time = jnp.where(told, time, state.plan.time + (1 - self.actuators.delay) * self.horizon.tick)
         estimate, observed, seen = self._observe(state, estimate, time)
         begin, active = self._after_delay(state, observed.disturbance, estimate, time)
         guess = self._shifted(state.plan, begin, active, time)
         plan, status = self._improved(reference, guess, observed.disturbance)
-        status = Status.where(seen, status, Status.numerical_error)
+        status = Status.where(seen & told, status, Status.numerical_error)
         tick, actuators = self.horizon.tick, self.actuators
         target = active + tick / self.horizon.intervals[0] * (plan.control[1] - active)
         command = actuators.command(active, target, tick)

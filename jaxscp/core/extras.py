@@ -1,5 +1,7 @@
 """Packages of optional extras, imported on first use."""
 
+import contextlib
+import io
 from importlib import import_module
 from typing import Any
 
@@ -21,6 +23,9 @@ def of_extra(module: str, extra: str, purpose: str) -> Any:
         ImportError: the search needs it: pip install 'jaxscp[clouds]'
     """
     try:
-        return import_module(module)
+        with contextlib.redirect_stdout(
+            io.StringIO()
+        ):  # some print that they miss a package, and can do without
+            return import_module(module)
     except ImportError as error:
         raise ImportError(f"{purpose}: pip install 'jaxscp[{extra}]'") from error

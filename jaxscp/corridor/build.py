@@ -229,7 +229,7 @@ def _point(name: str, value: Triple) -> Float[np.ndarray, "3"]:
 def _distance(name: str, value: Any) -> float:
     if not is_number(value):
         raise ValueError(f"{name} must be one number in metres, got {value!r}")
-    return value
+    return float(value)
 
 
 def _cells(

@@ -160,6 +160,10 @@ def correlation_factor(
                 raise InvalidStudy(
                     f"correlations: no parameter is called {name!r}; there are {', '.join(names)}."
                 )
+        if pairs.get((second, first), value) != value:
+            raise InvalidStudy(
+                f"correlations: ({first!r}, {second!r}) is given twice, with different numbers."
+            )
         if first == second or not -1.0 < value < 1.0:
             raise InvalidStudy(
                 f"correlations: ({first!r}, {second!r}) needs two parameters and a number within (-1, 1), got {value}."

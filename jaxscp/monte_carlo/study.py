@@ -121,8 +121,9 @@ class Study:
         Raises:
             InvalidStudy: if there is no such case.
         """
-        if not 0 <= number < self.count:
-            raise InvalidStudy(f"case {number}: the study has cases 0 to {self.count - 1}.")
+        whole = isinstance(number, int | np.integer) and not isinstance(number, bool)
+        if not whole or not 0 <= number < self.count:
+            raise InvalidStudy(f"case {number!r}: the study has cases 0 to {self.count - 1}.")
         return self.values(np.array([number]))[0]
 
     def insert(self, values: Any) -> Any:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxscp.core.arrays import components, floats
+from jaxscp.core.arrays import components, floats, is_number
 from jaxscp.core.errors import InvalidProblem
 from jaxscp.core.types import Scalar
 
@@ -37,6 +37,12 @@ class EndRows(eqx.Module):
     count: int = eqx.field(static=True, default=1)
     tolerance: float | None = eqx.field(static=True, default=None)
     error: Callable[..., Scalar] = eqx.field(static=True, default=length)
+
+    def __check_init__(self):
+        if self.tolerance is not None and not (is_number(self.tolerance) and self.tolerance > 0.0):
+            raise InvalidProblem(
+                f"{self.name}: tolerance must be one positive number, is {self.tolerance!r}."
+            )
 
 
 class EndCondition(eqx.Module):
@@ -115,6 +121,11 @@ class _SameComponents(eqx.Module):
     chosen: tuple[int, ...] | None = eqx.field(static=True)
 
     def __call__(self, first, last, time, parameters):
+        missing = [k for k in self.chosen or () if k >= first.shape[0]]
+        if missing:
+            raise InvalidProblem(
+                f"periodic: component {missing[0]} of {first.shape[0]} states does not exist."
+            )
         return components(last - first, self.chosen)
 
 
@@ -158,12 +169,21 @@ def fixed_state(
 def periodic(components: Sequence[int] | None = None, name: str = "period", unit: str = "") -> CoupledEnds:
     """The chosen components of the state are the same at both ends; all by default.
 
+    Raises:
+        InvalidProblem: a component is no number from 0 on, occurs twice, or is none of the state's.
+
     Example:
         >>> import jaxscp
         >>> free = jaxscp.fixed_state([None, None])
         >>> loop = jaxscp.Boundary(free, free, coupled=jaxscp.periodic())
     """
     chosen = None if components is None else tuple(components)
+    if chosen is not None and (
+        len({*chosen}) < len(chosen) or any(not isinstance(k, int) or k < 0 for k in chosen)
+    ):
+        raise InvalidProblem(
+            f"periodic: different components are expected, numbers from 0 on, got {components!r}."
+        )
     rows = () if chosen is None else (EndRows(name, unit, len(chosen)),)
     return CoupledEnds(_SameComponents(chosen), (), rows)
 

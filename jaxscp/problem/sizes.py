@@ -1,5 +1,7 @@
 """Typical sizes of a problem with a scale: given ones, and those measured at the guess. They have no derivatives."""
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -12,6 +14,10 @@ from jaxscp.problem.cost import Cost
 from jaxscp.problem.problem import OptimalControlProblem
 from jaxscp.problem.scale import Scale
 from jaxscp.problem.trajectory import Trajectory
+
+ALIKE = 30.0
+"""Rows of one constraint or group whose sizes differ by less share one."""
+_ROUNDING = 1e-9  # of the largest size: a smaller one counts as none
 
 
 class Sizes(eqx.Module):
@@ -68,8 +74,17 @@ def _size_of_cost(cost: Cost, guess: Trajectory) -> Scalar:
     return or_one(jnp.abs(running + cost.terminal_at(guess.state[-1], guess.time[-1], last)))
 
 
-def size_of_constraint(c: Constraint, scale: Scale, guess: Trajectory) -> Scalar:
-    """Largest change of a value if state and control change by their own sizes, at the guess."""
+def sizes_of_rows(sizes: Float[Array, "rows"]) -> Float[Array, "rows"]:
+    """The largest size for all rows, but for those that are far smaller: a force beside an angle, say."""
+    largest = or_one(jnp.max(sizes))
+    return jnp.where((ALIKE * sizes < largest) & (sizes > _ROUNDING * largest), sizes, largest)
+
+
+def size_of_constraint(c: Constraint, scale: Scale, guess: Trajectory) -> Float[Array, "*rows"]:
+    """Largest change of the values if state and control change by their own sizes, at the guess.
+
+    One number for a curved cone and a soft constraint, whose rows belong together; else one for each row.
+    """
     c, scale, guess = jax.lax.stop_gradient((c, scale, guess))
     function = c.with_parameters(c.function)
     if c.where.across:
@@ -84,19 +99,30 @@ def size_of_constraint(c: Constraint, scale: Scale, guess: Trajectory) -> Scalar
         slopes = jax.jacfwd(function, argnums=(0, 1))
         found = jax.vmap(slopes)(guess.state, guess.control, guess.time, c.node_parameters())
         jacobian = jnp.concatenate(found, axis=-1)
-    return or_one(jnp.max(jnp.abs(jacobian) @ sizes))
+    changes = jnp.max(jnp.abs(jacobian) @ sizes, axis=0)
+    together = c.cone.curved or c.soft is not None
+    return or_one(jnp.max(changes)) if together else sizes_of_rows(changes)
 
 
-def end_tolerances(boundary: Boundary, sizes: Sizes | None) -> dict[str, list[Array]]:
-    """Tolerance of each group of rows, for the start, the end, and both."""
-    found: dict[str, list[Array]] = {}
+class EndMeasure(NamedTuple):
+    """How a certificate measures a group of rows of an end condition."""
+
+    weights: Float[Array, "rows"]
+    """Factors of the rows: those of far smaller size count more."""
+    tolerance: Array
+
+
+def end_measures(boundary: Boundary, sizes: Sizes | None) -> dict[str, list[EndMeasure]]:
+    """Measure of each group of rows, for the start, the end, and both."""
+    found: dict[str, list[EndMeasure]] = {}
     for where in ("initial", "final", "coupled"):
         condition, first = getattr(boundary, where), 0
         for rows in condition.rows if condition is not None else ():
-            size = (
-                jnp.ones(()) if sizes is None else jnp.max(getattr(sizes, where)[first : first + rows.count])
-            )
-            given = END_TOLERANCE * size if rows.tolerance is None else jnp.asarray(rows.tolerance, float)
-            found.setdefault(where, []).append(given)
+            own = jnp.ones(rows.count)
+            if sizes is not None and rows.tolerance is None:
+                own = sizes_of_rows(getattr(sizes, where)[first : first + rows.count])
+            largest = jnp.max(own)
+            given = END_TOLERANCE * largest if rows.tolerance is None else jnp.asarray(rows.tolerance, float)
+            found.setdefault(where, []).append(EndMeasure(largest / own, given))
             first += rows.count
     return found

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jaxscp.core.errors import InvalidProblem
 from jaxscp.core.obstacles import Hull
 from jaxscp.core.types import Scalar
 from jaxscp.problem.canonical import canonical
@@ -21,7 +22,7 @@ from jaxscp.problem.form import Continuous
 from jaxscp.problem.lowering import over_scaled_time
 from jaxscp.problem.problem import OptimalControlProblem
 from jaxscp.problem.scaled_time import PathConstraint, ScaledTimeProblem
-from jaxscp.problem.sizes import end_tolerances
+from jaxscp.problem.sizes import end_measures
 from jaxscp.problem.trajectory import Trajectory
 from jaxscp.verification.clearance import clearance
 from jaxscp.verification.report import report
@@ -136,10 +137,23 @@ def certify(
         ('corridor', 'thrust', 'landing cone')
     """
     if isinstance(problem, OptimalControlProblem):
+        _check_sizes(problem, trajectory)
         plan = trajectory.with_dynamics(None)
         stated = over_scaled_time(canonical(problem), Continuous(), plan)
         return _compiled(stated, plan, samples, optimality, hull)
     return _certificate(problem, trajectory, samples, optimality, hull)
+
+
+def _check_sizes(problem: OptimalControlProblem, trajectory: Trajectory) -> None:
+    for name, size in (("state", problem.dynamics.state_size), ("control", problem.dynamics.control_size)):
+        if getattr(trajectory, name).shape[-1] != size:
+            raise InvalidProblem(
+                f"trajectory.{name}: {getattr(trajectory, name).shape[-1]} components, but dynamics has {size}."
+            )
+    if trajectory.zero_order_hold != problem.zero_order_hold:
+        raise InvalidProblem(
+            f"trajectory.zero_order_hold: {trajectory.zero_order_hold}, but the problem's is {problem.zero_order_hold}."
+        )
 
 
 def _certificate(
@@ -155,18 +169,17 @@ def _certificate(
     constraints = (*problem.constraints, *problem.checks)
     violations = [_violations(c, trajectory, integrated) for c in constraints]
     certificate = Certificate(
-        defect=defect,
-        end_errors=_stacked([error for *_, error, _ in ends]),
+        defect=_or_infinite(defect),
+        end_errors=_or_infinite(_stacked([error for *_, error, _ in ends])),
         end_tolerances=_stacked([tolerance for *_, tolerance in ends]),
-        at_nodes=_stacked([at_nodes for at_nodes, _ in violations]),
-        between_nodes=_stacked([between for _, between in violations]),
-        allowed=_stacked([c.tolerance for c in constraints]),
-        optimality=optimality,
+        at_nodes=_or_infinite(_stacked([at_nodes for at_nodes, *_ in violations])),
+        between_nodes=_or_infinite(_stacked([between for _, between, _ in violations])),
+        allowed=_stacked([allowed for *_, allowed in violations]),
+        optimality=None if optimality is None else _or_infinite(optimality),
         names=tuple(c.name for c in constraints),
         end_names=tuple(name for name, *_ in ends),
         end_units=tuple(unit for _, unit, *_ in ends),
     )
-    certificate = jax.tree.map(lambda v: jnp.where(jnp.isnan(v), jnp.inf, v), certificate)
     return (
         certificate
         if hull is None
@@ -175,6 +188,11 @@ def _certificate(
 
 
 _compiled = eqx.filter_jit(_certificate)
+
+
+def _or_infinite(error: Array) -> Array:
+    """An error that is no number counts as infinite."""
+    return jnp.where(jnp.isnan(error), jnp.inf, error)
 
 
 def _stacked(values: list) -> Float[Array, "rows"]:
@@ -193,12 +211,12 @@ def _end_rows(
     }
     if boundary.coupled is not None:
         values["coupled"] = boundary.coupled.value(first, last, time)
-    tolerances = end_tolerances(boundary, problem.sizes)
+    measures = end_measures(boundary, problem.sizes)
     for where, value in values.items():
         before = 0
-        for rows, tolerance in zip(getattr(boundary, where).rows, tolerances.get(where, []), strict=True):
-            error = rows.error(value[before : before + rows.count])
-            found.append((f"{where} {rows.name}", rows.unit, error, tolerance))
+        for rows, measure in zip(getattr(boundary, where).rows, measures.get(where, []), strict=True):
+            error = rows.error(measure.weights * value[before : before + rows.count])
+            found.append((f"{where} {rows.name}", rows.unit, error, measure.tolerance))
             before += rows.count
     return found
 
@@ -213,17 +231,17 @@ def _integrated_nodes(trajectory: Trajectory, integrated: Rollout) -> Rollout:
     return Rollout(trajectory.time[:, None], state, trajectory.control[:, None])
 
 
-def _worst(constraint: PathConstraint, integrated: Rollout) -> Scalar:
-    """Worst violation on a rollout; interval k has the parameters of node k."""
+def _worst(constraint: PathConstraint, integrated: Rollout) -> Float[Array, "conditions"]:
+    """Worst violation of each condition on a rollout; interval k has the parameters of node k."""
     count = integrated.time.shape[0]
 
     def violation(state, control, time, parameters):
-        return constraint.cone.violation(constraint.value(state, control, time, parameters))
+        return constraint.cone.violations(constraint.value(state, control, time, parameters))
 
     over_samples = jax.vmap(violation, in_axes=(0, 0, 0, None))
     parameters = jax.tree.map(lambda p: p[:count], constraint.node_parameters())
     values = jax.vmap(over_samples)(integrated.state, integrated.control, integrated.time, parameters)
-    return jnp.max(jnp.where(_active(constraint, count), values, 0.0), initial=0.0)
+    return jnp.max(jnp.where(_active(constraint, count)[..., None], values, 0.0), axis=(0, 1), initial=0.0)
 
 
 def _active(constraint: PathConstraint, count: int) -> Array:
@@ -232,27 +250,39 @@ def _active(constraint: PathConstraint, count: int) -> Array:
     return constraint.active[:count, None]
 
 
-def _worst_across(constraint: PathConstraint, trajectory: Trajectory) -> Scalar:
-    """Worst violation of a constraint on the controls at both ends of every interval."""
+def _worst_across(constraint: PathConstraint, trajectory: Trajectory) -> Float[Array, "conditions"]:
+    """Worst violation of each condition on the controls at both ends of every interval."""
     intervals = trajectory.time.shape[0] - 1
     controls = jnp.concatenate([trajectory.control, trajectory.dilation[:, None]], axis=1)
     parameters = jax.tree.map(lambda p: p[:-1], constraint.node_parameters())
     function = constraint.with_parameters(constraint.function)
 
     def violation(first, last, parameters):
-        return constraint.cone.violation(function(first, last, 1.0 / intervals, parameters))
+        return constraint.cone.violations(function(first, last, 1.0 / intervals, parameters))
 
     values = jax.vmap(violation)(controls[:-1], controls[1:], parameters)
-    return jnp.max(jnp.where(_active(constraint, intervals)[:, 0], values, 0.0), initial=0.0)
+    return jnp.max(jnp.where(_active(constraint, intervals), values, 0.0), axis=0, initial=0.0)
 
 
 def _violations(
     constraint: PathConstraint, trajectory: Trajectory, integrated: Rollout
-) -> tuple[Scalar, Scalar]:
-    """Worst violation at the nodes, and wherever the constraint must hold."""
+) -> tuple[Scalar, Scalar, Scalar]:
+    """Worst violation at the nodes, and wherever the constraint must hold; and the violation that counts as none."""
     if constraint.where.across:
-        worst = _worst_across(constraint, trajectory)
-        return worst, worst
+        across = _worst_across(constraint, trajectory)
+        return _in_one_unit(across, across, constraint.tolerance)
     at_nodes = _worst(constraint, _planned_nodes(trajectory))
     where = _integrated_nodes(trajectory, integrated) if constraint.where.nodal else integrated
-    return at_nodes, _worst(constraint, where)
+    return _in_one_unit(at_nodes, _worst(constraint, where), constraint.tolerance)
+
+
+def _in_one_unit(
+    at_nodes: Float[Array, "conditions"],
+    between: Float[Array, "conditions"],
+    tolerance: Float[Array, "*rows"],
+) -> tuple[Scalar, Scalar, Scalar]:
+    """Largest violations. Rows with tolerances of their own are compared by these, in the unit of the worst row."""
+    if tolerance.ndim == 0:
+        return jnp.max(at_nodes), jnp.max(between), tolerance
+    allowed = tolerance[jnp.argmax(between / tolerance)]
+    return jnp.max(at_nodes * (allowed / tolerance)), jnp.max(between * (allowed / tolerance)), allowed

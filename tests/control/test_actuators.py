@@ -33,3 +33,12 @@ def test_wrong_requests_name_the_field():
         Actuators([0.0], [1.0, 2.0])
     with pytest.raises(ValueError, match="delay"):
         Actuators([0.0], [1.0], delay=-1)
+    for wrong in (([2.0], [-2.0]), ([0.0], [np.nan])):
+        with pytest.raises(ValueError, match="lower, upper: the least control must not exceed"):
+            Actuators(*wrong)
+    for rate in (0.0, -1.0, np.nan, [1.0, 0.0]):
+        with pytest.raises(ValueError, match="rate"):
+            Actuators([0.0, 0.0], [1.0, 1.0], rate=rate)
+    for lag in (-0.1, np.nan, np.inf):
+        with pytest.raises(ValueError, match="time_constant"):
+            Actuators([0.0], [1.0], time_constant=lag)

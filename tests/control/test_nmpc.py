@@ -108,6 +108,21 @@ def test_what_is_not_finite_leaves_the_shifted_plan(which):
 
 
 @pytest.mark.slow
+def test_a_time_that_is_no_number_is_the_next_tick():
+    nmpc = controller()
+    target, state = at_origin(nmpc), jnp.array([1.0, 0.0])
+    memory = nmpc.init(target, state)
+    begun, _ = nmpc(target, memory, state, 0.0)
+    told, expected = nmpc(target, begun, state, float(nmpc.horizon.tick))
+    guessed, command = nmpc(target, begun, state, jnp.nan)
+    assert jaxscp.status_names(told.status) == "converged"
+    assert jaxscp.status_names(guessed.status) == "numerical_error"
+    np.testing.assert_allclose(command, expected, atol=1e-9)
+    later, _ = nmpc(target, guessed, state, 2.0 * float(nmpc.horizon.tick))
+    assert jaxscp.status_names(later.status) == "converged"
+
+
+@pytest.mark.slow
 def test_too_few_iterations_are_said_and_still_keep_the_limits():
     nmpc = eqx.tree_at(lambda n: n.horizon, controller(), Horizon(iterations=1))
     (first, command), _ = two_ticks(nmpc, at_origin(nmpc), jnp.zeros(2))
@@ -122,6 +137,14 @@ def test_wrong_sizes_name_the_field():
         NMPC(CART, ACTUATORS, Tracking([1.0, 1.0], [1.0, 1.0], [1.0, 1.0], [1.0]))
     with pytest.raises(ValueError, match="iterations"):
         Horizon(iterations=0)
+    for tick in (0.0, -0.01, np.nan):
+        with pytest.raises(ValueError, match="tick"):
+            Horizon(tick=tick)
+    for intervals in ([], [0.0, 0.1], [0.1, -0.1], [np.nan]):
+        with pytest.raises(ValueError, match="intervals"):
+            Horizon(intervals=np.array(intervals))
+    with pytest.raises(ValueError, match="tolerance"):
+        Horizon(tolerance=0.0)
 
 
 @pytest.mark.slow

@@ -153,6 +153,10 @@ def test_traced_values_give_the_same_case():
             ),
             "not positive definite",
         ),
+        (
+            lambda: study(mc.Independent(5), correlations={("mass", "wind"): 0.5, ("wind", "mass"): -0.5}),
+            "given twice, with different numbers",
+        ),
     ],
 )
 def test_wrong_requests_name_the_field(make, message):

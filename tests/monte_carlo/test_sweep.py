@@ -97,8 +97,9 @@ def test_results_are_the_functions_values(whole):
 def test_rerun_is_bitwise(whole):
     for number in (0, 29, 30, 199):
         assert mc.rerun(whole, number).scalars["range"] == float(whole.values("range")[number])
-    with pytest.raises(mc.InvalidStudy, match="cases 0 to 199"):
-        mc.rerun(whole, 200)
+    for none in (200, -1, True):
+        with pytest.raises(mc.InvalidStudy, match="cases 0 to 199"):
+            mc.rerun(whole, none)
 
 
 @pytest.mark.parametrize("chunk", [7, 200, 1000])

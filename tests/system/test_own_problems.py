@@ -106,3 +106,34 @@ def test_file_without_the_users_code(name, tmp_path):
     status, cost = ran.stdout.split()
     assert status == "converged"
     assert float(cost) == float(js.solve(problem, guess).cost)
+
+
+def steered(x, u, t, p):
+    """A mass under a force, and an angle under its rate."""
+    return jnp.stack([x[1], u[0] / 1000.0, u[1]])
+
+
+def beside(x, u, t, most):
+    return jnp.concatenate([most - u, most + u])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("most", [2e4, 1e6])
+@pytest.mark.parametrize("how", ["bounds", "rows", "with a scale"])
+def test_limits_of_very_different_size_in_one_constraint_hold(how, most):
+    """The angle moves by 3 at 0.2 a second, 15 s, while the force could end its part in a fraction of a second."""
+    limits = np.array([most, 0.2])
+    scale = js.Scale([1.0, 1.0, 1.0], limits, time=10.0, cost=1.0) if how == "with a scale" else None
+    rows = js.Constraint(beside, js.NonNegative(), jnp.asarray(limits), convex=True)
+    problem = js.OptimalControlProblem(
+        dynamics=js.Dynamics.of(steered, states=3, controls=2),
+        cost=js.Cost(terminal=lambda x, t, p: t),
+        constraints=(rows if how == "rows" else js.bounds(control=(-limits, limits)),),
+        boundary=js.Boundary(js.fixed_state([0.0, 0.0, 0.0]), js.fixed_state([1.0, 0.0, 3.0])),
+        time=js.Time(nodes=20, final=js.FreeTime(1.0, 100.0)),
+        scale=scale,
+    )
+    solution = js.solve(problem, js.straight_line(problem, final_time=20.0))
+    assert js.status_names(solution.status) == "converged"
+    np.testing.assert_allclose(solution.final_time, 15.0, rtol=1e-4)
+    assert float(jnp.max(jnp.abs(solution.trajectory.control[:, 1]))) <= 0.2 * (1.0 + 1e-4)
