@@ -53,6 +53,12 @@ def test_a_converged_plan_exits_zero(answer):
     assert result.exception is None or isinstance(result.exception, SystemExit)
 
 
+def test_it_says_which_files_it_wrote(answer):
+    result, folder = answer
+    told = " ".join(result.stderr.split("wrote ")[1].split())
+    assert told == ", ".join(str(folder / f"plan.{kind}") for kind in ("npz", "csv", "png"))
+
+
 def test_options_whose_placeholder_is_their_name_state_it():
     """Typer 0.27 takes such a placeholder for the name, so that ``--mass`` became ``--MASS``."""
     commands = [c.callback for c in cli.app.registered_commands]
