@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxscp.core.errors import InvalidProblem
 from jaxscp.core.obstacles import Hull
 from jaxscp.core.types import Scalar
 from jaxscp.problem.canonical import canonical
@@ -27,6 +26,7 @@ from jaxscp.problem.trajectory import Trajectory
 from jaxscp.verification.clearance import clearance
 from jaxscp.verification.report import report
 from jaxscp.verification.rollout import Rollout, rollout
+from jaxscp.verification.trajectory_check import check_trajectory
 
 OPTIMALITY_TOLERANCE = 0.3  # KKT residual; converged solutions have about 0.01
 
@@ -128,6 +128,10 @@ def certify(
         optimality: KKT residual, if the method claims an optimum.
         hull: the vehicle among known obstacles, ``scenario.hull(solution.context)`` say.
 
+    Raises:
+        InvalidProblem: the trajectory is of another problem: other sizes, held controls, or final time. Times that are
+            traced are not compared.
+
     Example:
         >>> import jaxscp
         >>> scenario = jaxscp.scenarios.ascent_to_platform()
@@ -137,23 +141,11 @@ def certify(
         ('corridor', 'thrust', 'landing cone')
     """
     if isinstance(problem, OptimalControlProblem):
-        _check_sizes(problem, trajectory)
+        check_trajectory(problem, trajectory)
         plan = trajectory.with_dynamics(None)
         stated = over_scaled_time(canonical(problem), Continuous(), plan)
         return _compiled(stated, plan, samples, optimality, hull)
     return _certificate(problem, trajectory, samples, optimality, hull)
-
-
-def _check_sizes(problem: OptimalControlProblem, trajectory: Trajectory) -> None:
-    for name, size in (("state", problem.dynamics.state_size), ("control", problem.dynamics.control_size)):
-        if getattr(trajectory, name).shape[-1] != size:
-            raise InvalidProblem(
-                f"trajectory.{name}: {getattr(trajectory, name).shape[-1]} components, but dynamics has {size}."
-            )
-    if trajectory.zero_order_hold != problem.zero_order_hold:
-        raise InvalidProblem(
-            f"trajectory.zero_order_hold: {trajectory.zero_order_hold}, but the problem's is {problem.zero_order_hold}."
-        )
 
 
 def _certificate(

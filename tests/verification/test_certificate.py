@@ -1,5 +1,6 @@
 """The certificate of a trajectory that cannot be integrated."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -22,19 +23,39 @@ def test_rows_with_tolerances_of_their_own_are_compared_by_these():
     np.testing.assert_array_equal(one, [5.0, 1.0, 20.0])
 
 
-def test_a_trajectory_of_another_problem_is_refused():
+def request(final, hold=()):
     model = js.Dynamics.of(lambda x, u, t, p: jnp.stack([x[1], u[0]]), states=2, controls=1)
     ends = js.Boundary(js.fixed_state([0.0, 0.0]), js.fixed_state([1.0, 0.0]))
-    problem = js.OptimalControlProblem(
-        model, js.Cost(), ends, js.Time(nodes=3, final=js.FixedTime(1.0)), zero_order_hold=(0,)
+    return js.OptimalControlProblem(
+        model, js.Cost(), ends, js.Time(nodes=3, final=final), zero_order_hold=hold
     )
-    plan = js.Trajectory.from_arrays([0.0, 0.5, 1.0], np.zeros((3, 2)), np.zeros((3, 1)))
-    with pytest.raises(
-        js.InvalidProblem, match=r"trajectory\.zero_order_hold: \(\), but the problem's is \(0,\)"
-    ):
-        certify(problem, plan)
-    plan = js.Trajectory.from_arrays([0.0, 0.5, 1.0], np.zeros((3, 2)), np.zeros((3, 2)))
-    with pytest.raises(js.InvalidProblem, match=r"trajectory\.control: 2 components, but dynamics has 1"):
+
+
+def trajectory(controls=1):
+    return js.Trajectory.from_arrays([0.0, 1.0, 2.0], np.zeros((3, 2)), np.zeros((3, controls)))
+
+
+@pytest.mark.parametrize(
+    ("problem", "plan", "words"),
+    [
+        (
+            request(js.FixedTime(2.0), (0,)),
+            trajectory(),
+            r"zero_order_hold: \(\), but the problem's is \(0,\)",
+        ),
+        (request(js.FixedTime(2.0)), trajectory(2), "control: 2 components, but dynamics has 1"),
+        (request(js.FixedTime(1.0)), trajectory(), "lasts 2 s, but the problem's final time is 1 s"),
+        (request(js.FreeTime(0.1, 0.5)), trajectory(), "final time is within 0.1 and 0.5 s"),
+        (request(js.FreeTime(5.0, 9.0)), trajectory(), "final time is within 5 and 9 s"),
+        (
+            request(js.FreeTime(0.5, 3.0)),
+            eqx.tree_at(lambda t: t.time, trajectory(), 0.5 * trajectory().time),
+            "lasts 1 s, but its dilation lasts 2 s",
+        ),
+    ],
+)
+def test_a_trajectory_of_another_problem_is_refused(problem, plan, words):
+    with pytest.raises(js.InvalidProblem, match=words):
         certify(problem, plan)
 
 
