@@ -26,7 +26,8 @@ def box(lower: ArrayLike, upper: ArrayLike) -> Polytope:
         upper: (3,) the greatest ones, m.
 
     Raises:
-        ValueError: the box has no width along an axis, the corners are swapped along one, or are no three numbers.
+        ValueError: the box has no width along an axis, the corners are swapped along one, or are no three finite
+            numbers.
 
     Example:
         >>> import jaxscp
@@ -36,6 +37,8 @@ def box(lower: ArrayLike, upper: ArrayLike) -> Polytope:
     xp, least, most = namespace(lower, upper), triple("box: lower", lower), triple("box: upper", upper)
     if xp is np:
         for axis, low, high in zip("xyz", least, most, strict=True):
+            if not (np.isfinite(low) and np.isfinite(high)):
+                raise ValueError(f"box: the corners must be finite, got {low:g} and {high:g} m along {axis}")
             if low > high:
                 raise ValueError(
                     f"box: lower {axis} {low:g} m exceeds upper {axis} {high:g} m; are they swapped?"

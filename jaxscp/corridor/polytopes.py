@@ -11,12 +11,15 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import ArrayLike
 
-from jaxscp.core.arrays import floats, namespace, unit_lengths
+from jaxscp.core.arrays import floats, is_number, namespace, unit_lengths
 from jaxscp.core.types import Normals, Offsets, Scalar, Vector3
 from jaxscp.corridor.overlaps import deepest_ball
 from jaxscp.corridor.polytope import Polytope as Polytope
 from jaxscp.corridor.polytope import box as box
 from jaxscp.corridor.polytope import intersect
+
+_TOUCHING = 1e-9
+"""Distance of two polytopes, in metres, that counts as none."""
 
 
 class Corridor(eqx.Module):
@@ -120,10 +123,9 @@ def connect(
         >>> corridor.joints.round(3).tolist(), corridor.offsets[0].round(3).tolist()
         ([[3.5, 1.0, 1.5]], [3.75, 1.75, 2.75, -0.25, -0.25, -0.25])
     """
-    if not polytopes:
-        raise ValueError("connect: a corridor needs at least one polytope")
-    if not margin >= 0:
-        raise ValueError(f"connect: margin must not be negative, got {margin} m")
+    polytopes = _checked(polytopes)
+    if not (is_number(margin) and margin >= 0):
+        raise ValueError(f"connect: margin must be one number of metres, not negative, got {margin!r}")
     xp = namespace(polytopes, joints)
     faces = max(polytope.offsets.size for polytope in polytopes)
     pads = [faces - polytope.offsets.size for polytope in polytopes]
@@ -144,6 +146,25 @@ def connect(
             )
     moved = floats(margin) if margin else None
     return Corridor(jnp.asarray(normals), jnp.asarray(offsets), jnp.asarray(centres), moved)
+
+
+def _checked(polytopes: Any) -> list[Polytope]:
+    """The polytopes of a chain.
+
+    Raises:
+        ValueError: there is none, or one has no faces, or something else is in the list or in its place.
+    """
+    if isinstance(polytopes, Polytope):
+        raise ValueError("connect: a list of polytopes is expected, got one polytope")
+    found = list(polytopes)
+    if not found:
+        raise ValueError("connect: a corridor needs at least one polytope")
+    for number, polytope in enumerate(found):
+        if not isinstance(polytope, Polytope):
+            raise ValueError(f"connect: element {number} is no polytope, but {polytope!r:.60}")
+        if polytope.offsets.size == 0:
+            raise ValueError(f"connect: polytope {number} has no faces")
+    return found
 
 
 def unit_rows(normals: Any, offsets: Any) -> tuple[Any, Any]:
@@ -181,8 +202,10 @@ def _found_joints(normals: Any, offsets: Any, margin: float) -> Any:
                 cause = f"its widest ball has a radius of {before:.3g} m; is margin in metres?"
             raise ValueError(f"connect: polytope {k} is empty{after}: {cause}")
         k = int(np.argmax(np.asarray(balls.radius) <= 0))
+        gap = -2 * float(balls.radius[k])
+        found = f"they are {gap:.3g} m apart" if gap > _TOUCHING else "they only touch"
         raise ValueError(
-            f"connect: polytopes {k} and {k + 1} do not overlap{after}, so that there is no joint {k}: they are "
-            f"{-2 * float(balls.radius[k]):.3g} m apart; are they in flight order?"
+            f"connect: polytopes {k} and {k + 1} do not overlap{after}, so that there is no joint {k}: {found}; are "
+            "they in flight order?"
         )
     return balls.centre

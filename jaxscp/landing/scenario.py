@@ -25,6 +25,7 @@ from jaxscp.landing.warm_guess import warm_guess
 from jaxscp.problem.form import Continuous, Form
 from jaxscp.problem.node_values import node_times
 from jaxscp.problem.problem import OptimalControlProblem
+from jaxscp.problem.time import FreeTime, limit_reached
 from jaxscp.problem.trajectory import Trajectory
 
 
@@ -194,7 +195,9 @@ class LandingScenario(Mission):
         return landing_problem(self, leg_of(context), form), context
 
     def hindrance(self, plan: Trajectory) -> str:
-        """What hinders a plan that did not converge, as far as the scenario tells: a deck that left the corridor.
+        """What hinders a plan that did not converge, as far as the scenario tells.
+
+        A deck left the corridor, or the flight time is at ``dilation_min`` or ``dilation_max``.
 
         Example:
             >>> import dataclasses, jax, jaxscp
@@ -205,7 +208,8 @@ class LandingScenario(Mission):
             >>> moving.hindrance(still)
             'at 5 s the deck is 0.25 m outside the last polytope, which it leaves at 4 s'
         """
-        return deck_outside(self, float(plan.time[-1]))
+        last = float(plan.time[-1])
+        return deck_outside(self, last) or limit_reached(FreeTime(self.dilation_min, self.dilation_max), last)
 
     def replan_doubt(self, plan: Trajectory, elapsed: float) -> str:
         """Doubt about a goal that did not move with the deck since a plan began; see ``after``."""

@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 from jaxscp.core.types import Scalar
 from jaxscp.dynamics.base import Dynamics
 from jaxscp.dynamics.rigid_body import RigidBody
+from jaxscp.dynamics.rotations import tilt
 from jaxscp.integration import tableaus
 from jaxscp.problem.node_values import interval_at
 
@@ -118,6 +119,17 @@ class FlightSamples(Samples):
     def body_rate(self) -> Float[Array, "*times 3"]:
         """rad/s, body."""
         return self.state[..., 10:13]
+
+    @property
+    def speed(self) -> Float[Array, "*times"]:
+        """m/s."""
+        return jnp.linalg.norm(self.velocity, axis=-1)
+
+    @property
+    def tilt(self) -> Float[Array, "*times"]:
+        """Angle in radians between the body's z axis and the vertical."""
+        unit = self.attitude / jnp.linalg.norm(self.attitude, axis=-1, keepdims=True)
+        return jnp.vectorize(tilt, signature="(q)->()")(unit)
 
     @property
     def acceleration(self) -> Float[Array, "*times 3"]:

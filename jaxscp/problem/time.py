@@ -9,6 +9,7 @@ from jaxscp.core.arrays import floats
 from jaxscp.core.types import Scalar
 
 MESH_WEIGHT = 3e-4  # cost that is lost to an even mesh, at most
+_AT_LIMIT = 1e-3  # of a limit: a final time that near to it is at it
 
 
 def _number(value: Any) -> Array | None:
@@ -43,6 +44,21 @@ class FixedTime(eqx.Module):
     """
 
     duration: Scalar = eqx.field(converter=floats)
+
+
+def limit_reached(final: FreeTime | FixedTime, last: float) -> str:
+    """Words about a final time at one of its limits; empty for one that is fixed, or between them.
+
+    Example:
+        >>> limit_reached(FreeTime(1.0, 5.0), 5.0)
+        'the final time is at its upper limit, 5 s: a flight may need more'
+    """
+    if isinstance(final, FixedTime):
+        return ""
+    for name, limit, needed in (("upper", float(final.upper), "more"), ("lower", float(final.lower), "less")):
+        if abs(last - limit) <= _AT_LIMIT * limit:
+            return f"the final time is at its {name} limit, {limit:g} s: a flight may need {needed}"
+    return ""
 
 
 class Time(eqx.Module):

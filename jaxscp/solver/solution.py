@@ -16,6 +16,7 @@ from jaxscp.core.types import Count, Flag, Scalar
 from jaxscp.problem.augmented import DYNAMICS, can_be_stored
 from jaxscp.problem.multipliers import Multipliers
 from jaxscp.problem.problem import OptimalControlProblem
+from jaxscp.problem.time import limit_reached
 from jaxscp.problem.trajectory import Trajectory
 from jaxscp.scp.history import History
 from jaxscp.solver.scenario import Advisor
@@ -160,7 +161,8 @@ class Solution(eqx.Module):
         numbers. Of a batch, an array of texts, one an element.
 
         Args:
-            scenario: that was planned; of a batch, a stack of them. It tells of a deck that left the corridor.
+            scenario: that was planned, or the problem; of a batch, a stack of them. It tells of a final time at its
+                limit, and of a deck that left the corridor.
         """
         if shape := np.shape(self.cost):
             host = jax.tree.map(np.asarray, (self, scenario))
@@ -170,8 +172,10 @@ class Solution(eqx.Module):
             return ""
         claims_optimum = self.certificate.optimality is not None  # and else nothing between the nodes
         row, found = self.certificate.largest_row(claims_optimum), []
-        if isinstance(scenario, Advisor) and (hindrance := scenario.hindrance(self.trajectory)):
-            found.append(hindrance)
+        if isinstance(scenario, OptimalControlProblem):
+            found.append(limit_reached(scenario.time.final, float(self.final_time)))
+        elif isinstance(scenario, Advisor):
+            found.append(scenario.hindrance(self.trajectory))
         if row:
             found.append(f"largest violation: {row}")
         if self.multipliers is not None:
@@ -180,7 +184,7 @@ class Solution(eqx.Module):
             sizes = [float(np.max(np.abs(y), initial=0.0)) for y in self.multipliers.values]
             if len(names) == len(sizes) and max(sizes) > 0.0:
                 found.append(f"largest multiplier: {names[int(np.argmax(sizes))]}")
-        return "; ".join([*found, *self._scaling()])
+        return "; ".join(text for text in [*found, *self._scaling()] if text)
 
     def _scaling(self) -> list[str]:
         """The advice to state a scale, where a problem has none and the sizes of its variables differ much."""

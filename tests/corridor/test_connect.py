@@ -1,5 +1,7 @@
 """Corridors by hand: joints that are found, margins, unit normals, and errors that number polytopes."""
 
+import inspect
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -77,7 +79,7 @@ def test_a_wrong_number_of_joints_is_told(joints):
 def test_nothing_is_no_corridor():
     with pytest.raises(ValueError, match="at least one polytope"):
         connect([])
-    with pytest.raises(ValueError, match="margin must not be negative"):
+    with pytest.raises(ValueError, match=r"not negative, got -0\.1"):
         connect(rooms(), margin=-0.1)
 
 
@@ -101,6 +103,41 @@ def test_unit_normals_stay_as_they_are_bit_by_bit():
     room = Polytope(jnp.asarray(np.concatenate([turned, -turned])), jnp.ones(6))
     assert np.array_equal(connect([room], []).normals[0], room.normals)
     assert np.array_equal(connect([room], []).with_unit_normals().offsets[0], room.offsets)
+
+
+@pytest.mark.parametrize(
+    ("polytopes", "margin", "words"),
+    [
+        (box([0, 0, 0], [1, 1, 1]), 0.0, "a list of polytopes is expected, got one polytope"),
+        ([], 0.0, "at least one polytope"),
+        ([Polytope(jnp.zeros((0, 3)), jnp.zeros(0))], 0.0, "polytope 0 has no faces"),
+        ([box([0, 0, 0], [1, 1, 1])], np.nan, "margin must be one number of metres"),
+        (
+            [box([0, 0, 0], [1, 1, 1]), box([1, 0, 0], [2, 1, 1])],
+            0.0,
+            "they only touch; are they in flight order",
+        ),
+        (
+            [box([0, 0, 0], [1, 1, 1]), box([3, 0, 0], [4, 1, 1])],
+            0.0,
+            "they are 2 m apart; are they in flight order",
+        ),
+    ],
+)
+def test_what_cannot_be_chained_is_named(polytopes, margin, words):
+    with pytest.raises(ValueError, match=words):
+        inspect.unwrap(connect)(polytopes, margin=margin)
+
+
+def test_polytopes_may_come_one_by_one():
+    found = inspect.unwrap(connect)(room for room in rooms())
+    np.testing.assert_array_equal(found.offsets, connect(rooms()).offsets)
+
+
+@pytest.mark.parametrize("number", [np.inf, np.nan])
+def test_a_box_is_finite(number):
+    with pytest.raises(ValueError, match="corners must be finite"):
+        box([number, 0.0, 0.0], [1.0, 1.0, 1.0])
 
 
 def test_joints_are_found_under_jit():

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
 
 import jaxscp as js
 from jaxscp.problem.node_values import node_times
@@ -113,6 +114,9 @@ def test_parts_of_a_flight_are_derivatives_of_each_other(flight):
     np.testing.assert_allclose(slope("position"), now.velocity, atol=DIFFERENCES)
     np.testing.assert_allclose(slope("velocity"), now.acceleration, atol=DIFFERENCES)
     np.testing.assert_allclose(slope("body_rate"), now.angular_acceleration, atol=1e-3, rtol=DIFFERENCES)
+    np.testing.assert_allclose(now.speed, np.linalg.norm(now.velocity, axis=1))
+    up = Rotation.from_quat(np.asarray(now.attitude), scalar_first=True).apply([0.0, 0.0, 1.0])[:, 2]
+    np.testing.assert_allclose(now.tilt, np.arccos(np.clip(up, -1.0, 1.0)), atol=1e-6)
     norm = jnp.linalg.norm(now.attitude, axis=1) / jnp.linalg.norm(flight.state[:-1, 6:10], axis=1)
     np.testing.assert_allclose(norm, 1.0, atol=INTEGRATION)  # the dynamics keep the norm
 

@@ -125,6 +125,17 @@ def test_a_scenario_tells_what_hindered_its_plan(solution):
     assert causes[1].startswith("the deck 2")
 
 
+def test_a_final_time_at_its_limit_is_told(solution):
+    failed = eqx.tree_at(lambda s: s.status, solution, js.Status.insufficient_progress)
+    last = float(failed.final_time)
+    short, wide, fixed = (
+        js.Time(5, f) for f in (js.FreeTime(0.1, last), js.FreeTime(0.1, 9.0 * last), js.FixedTime(last))
+    )
+    assert failed.cause(double_integrator(ENERGY, short)).startswith("the final time is at its upper limit")
+    for free in (wide, fixed):
+        assert "the final time is" not in failed.cause(double_integrator(ENERGY, free))
+
+
 def test_the_causes_of_a_batch_are_those_of_its_elements(solution):
     off = eqx.tree_at(lambda s: s.certificate.end_errors, solution, solution.certificate.end_errors + 1.0)
     batch = with_statuses(off, js.Status.converged, js.Status.iteration_limit)
