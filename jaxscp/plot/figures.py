@@ -32,7 +32,7 @@ def scene(scenario: LandingScenario, solution: Solution) -> Figure:
     """
     curves, nodes = integrated(scenario, solution), planned(solution)
     figure = Figure(figsize=(COLUMN, 1.35 * COLUMN), dpi=DPI)
-    space = cast(Axes3D, figure.add_axes((0.02, 0.46, 0.96, 0.42), projection="3d"))
+    space = cast(Axes3D, figure.add_axes((0.0, 0.46, 0.88, 0.42), projection="3d"))
     draw_scene(space, scenario, curves, nodes, every=max(1, len(nodes.time) // 6))
     handles, labels = space.get_legend_handles_labels()
     figure.legend(
@@ -60,7 +60,7 @@ def histories(scenario: LandingScenario, solution: Solution) -> Figure:
         'histories'
     """
     figure = Figure(figsize=(COLUMN, 1.6 * COLUMN), dpi=DPI)
-    grid = figure.add_gridspec(5, 1, left=0.15, right=0.76, bottom=0.07, top=0.985, hspace=0.14)
+    grid = figure.add_gridspec(5, 1, left=0.15, right=0.67, bottom=0.07, top=0.985, hspace=0.14)
     axes = list(np.ravel(grid.subplots(sharex=True)))  # pyright: ignore[reportCallIssue, reportArgumentType]
     draw_histories(axes, scenario, integrated(scenario, solution), planned(solution))
     for ax in axes:
@@ -78,7 +78,7 @@ def _small(ax: Any) -> None:
     for axis in (ax.xaxis, ax.yaxis, *((ax.zaxis,) if isinstance(ax, Axes3D) else ())):
         axis.label.set_size(6.5)  # pyright: ignore[reportAttributeAccessIssue]
         if isinstance(ax, Axes3D):
-            axis.labelpad = -8
+            axis.labelpad = -9 if axis is ax.zaxis else -4
     if (legend := ax.get_legend()) is not None:
         for text in legend.get_texts():
             text.set_fontsize(5.5)
