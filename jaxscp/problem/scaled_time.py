@@ -34,8 +34,8 @@ class PathConstraint(Constraint):
 
     cone: SymmetricCone = NonNegative()
     active: Bool[Array, "nodes"] = None  # pyright: ignore[reportAssignmentType]
-    tolerance: Float[Array, "*rows"] = None  # pyright: ignore[reportAssignmentType]
-    size: Float[Array, "*rows"] | None = None
+    tolerance: Float[Array, "..."] = None  # pyright: ignore[reportAssignmentType]
+    size: Float[Array, "..."] | None = None
     """Typical size of the values, or of each row, by which the solver divides; None is one."""
     slack: int | None = eqx.field(default=None, static=True)
     """Number of its slack, if it is soft."""
