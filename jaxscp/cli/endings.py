@@ -1,4 +1,4 @@
-"""How a command ends: it names the files that it wrote, or what was wrong with the request.
+"""How a command ends: with the names of the files that it wrote, or with a refusal.
 
 A wrong request gives a message, exit code 2, and one JSON object if that was asked for.
 """

@@ -108,7 +108,7 @@ class EndMeasure(NamedTuple):
     """How a certificate measures a group of rows of an end condition."""
 
     weights: Float[Array, "rows"]
-    """Factors of the rows: those of far smaller size count more."""
+    """Factors of the rows, greater for those of far smaller size."""
     tolerance: Array
 
 

@@ -162,10 +162,10 @@ def _certificate(
     violations = [_violations(c, trajectory, integrated) for c in constraints]
     certificate = Certificate(
         defect=_or_infinite(defect),
-        end_errors=_or_infinite(_stacked([error for *_, error, _ in ends])),
+        end_errors=_errors([error for *_, error, _ in ends]),
         end_tolerances=_stacked([tolerance for *_, tolerance in ends]),
-        at_nodes=_or_infinite(_stacked([at_nodes for at_nodes, *_ in violations])),
-        between_nodes=_or_infinite(_stacked([between for _, between, _ in violations])),
+        at_nodes=_errors([at_nodes for at_nodes, *_ in violations]),
+        between_nodes=_errors([between for _, between, _ in violations]),
         allowed=_stacked([allowed for *_, allowed in violations]),
         optimality=None if optimality is None else _or_infinite(optimality),
         names=tuple(c.name for c in constraints),
@@ -189,6 +189,10 @@ def _or_infinite(error: Array) -> Array:
 
 def _stacked(values: list) -> Float[Array, "rows"]:
     return jnp.stack([jnp.asarray(v, float) for v in values]) if values else jnp.zeros(0)
+
+
+def _errors(values: list) -> Float[Array, "rows"]:
+    return _or_infinite(_stacked(values))
 
 
 def _end_rows(

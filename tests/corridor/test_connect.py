@@ -109,7 +109,6 @@ def test_unit_normals_stay_as_they_are_bit_by_bit():
     ("polytopes", "margin", "words"),
     [
         (box([0, 0, 0], [1, 1, 1]), 0.0, "a list of polytopes is expected, got one polytope"),
-        ([], 0.0, "at least one polytope"),
         ([Polytope(jnp.zeros((0, 3)), jnp.zeros(0))], 0.0, "polytope 0 has no faces"),
         ([box([0, 0, 0], [1, 1, 1])], np.nan, "margin must be one number of metres"),
         (

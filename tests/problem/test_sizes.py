@@ -6,7 +6,6 @@ import pytest
 
 import jaxscp as js
 from jaxscp.problem.sizes import end_measures, measured_sizes, size_of_constraint, sizes_of_rows
-from tests.support.own_problems import CASES
 
 SCALE = js.Scale(state=[1.0, 1e-3], control=[2e4, 0.2], time=1.0, cost=1.0)
 GUESS = js.Trajectory.from_arrays([0.0, 1.0], np.zeros((2, 2)), np.zeros((2, 2)))
@@ -31,10 +30,8 @@ def test_a_force_and_an_angle_have_their_own_sizes_and_a_cone_has_one():
 
 def test_rows_of_an_end_that_are_far_smaller_count_more():
     both = js.EndCondition(lambda x, t, p: x, rows=(js.EndRows("state", count=2),))
-    case = CASES["double integrator"] if "double integrator" in CASES else next(iter(CASES.values()))
-    problem = case.problem(case.value)
-    boundary = js.Boundary(both, both)
-    problem = js.OptimalControlProblem(problem.dynamics, js.Cost(), boundary, problem.time)
+    boundary, time = js.Boundary(both, both), js.Time(2, js.FixedTime(1.0))
+    problem = js.OptimalControlProblem(js.DoubleIntegrator(1), js.Cost(), boundary, time)
     measure = end_measures(boundary, measured_sizes(problem, SCALE, GUESS))["final"][0]
     np.testing.assert_allclose(measure.weights, [1.0, 1e3])
     np.testing.assert_allclose(measure.tolerance, 1e-3)

@@ -1,4 +1,4 @@
-"""The certificate of a trajectory that cannot be integrated."""
+"""Certificates: rows of different size, trajectories of another problem, and those that cannot be integrated."""
 
 import equinox as eqx
 import jax
