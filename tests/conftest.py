@@ -13,8 +13,8 @@ if PROGRAMS not in os.environ:
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")
 
 import jax  # noqa: E402
+import jaxtyping  # noqa: E402
 import pytest  # noqa: E402
-from jaxtyping import install_import_hook  # noqa: E402
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
@@ -22,7 +22,7 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 # Imported before the hook: to check its million scalar operations would double the time of a trace.
 import jaxscp.backends.codegen.graph  # noqa: E402, F401
 
-install_import_hook("jaxscp", "beartype.beartype")
+jaxtyping.install_import_hook("jaxscp", "beartype.beartype")
 
 MOST_MAPPINGS = 20_000
 """Largest number of memory mappings of a process. Each compiled program holds thousands. Beyond Linux's limit (usually
@@ -36,6 +36,14 @@ if jax.__version_info__ < (0, 12):  # later versions lack a flag, and XLA ends a
     # the tests' own ``jit``, and their subprocesses, compile with the options of the package's programs
     flags = (f"--{name}={str(value).lower()}" for name, value in xla.CPU_OPTIONS.items())
     os.environ.setdefault("XLA_FLAGS", " ".join(flags))
+
+
+@pytest.fixture
+def no_type_checks():
+    """Wrong types meet the library's own checks, as a user's do, not those that the tests add."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)
 
 
 @pytest.fixture(params=libraries.LEVELS)

@@ -1,5 +1,6 @@
 """Arrays from plain numbers and lists, without compilation."""
 
+import operator
 from collections.abc import Sequence
 from typing import Any
 
@@ -100,6 +101,34 @@ def is_number(value: Any) -> bool:
         (True, False, False)
     """
     return np.ndim(value) == 0 and np.asarray(value).dtype.kind in "iuf"
+
+
+def is_whole(value: Any, least: int) -> bool:
+    """Whether a known value is a whole number of the type of one, and not less.
+
+    Example:
+        >>> from jaxscp.core.arrays import is_whole
+        >>> is_whole(2, 1), is_whole(0, 1), is_whole(2.0, 1), is_whole(True, 1)
+        (True, False, False, False)
+    """
+    try:
+        return not isinstance(value, bool) and operator.index(value) >= least
+    except TypeError:
+        return False
+
+
+def check_whole(name: str, value: Any, least: int) -> None:
+    """Raise a ``ValueError`` if a known value is no whole number, or less.
+
+    Example:
+        >>> from jaxscp.core.arrays import check_whole
+        >>> check_whole("steps", 2.5, 1)
+        Traceback (most recent call last):
+        ...
+        ValueError: steps: expected a whole number, 1 or more, got 2.5
+    """
+    if not is_whole(value, least):
+        raise ValueError(f"{name}: expected a whole number, {least} or more, got {value!r}")
 
 
 def as_floats(value: Any) -> Any:

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from jaxscp.core.arrays import is_whole
 from jaxscp.core.types import Scalar, Vector3
 from jaxscp.dynamics.airframes import Airframe
 from jaxscp.mission.fields import FIELDS, MOST_DECK_SPEED, MOST_SEED, MOST_WIND, Field
@@ -84,8 +85,8 @@ def draw_case(name: str, seed: int, choices: Choices | None = None) -> Case:
     """
     if name not in FIELDS:
         raise ValueError(f"name: expected {' or '.join(FIELDS)}, got {name!r}")
-    if not 0 <= seed <= MOST_SEED:
-        raise ValueError(f"seed: expected a whole number from 0 to {MOST_SEED}, got {seed}")
+    if not is_whole(seed, 0) or seed > MOST_SEED:
+        raise ValueError(f"seed: expected a whole number from 0 to {MOST_SEED}, got {seed!r}")
     field, choices = FIELDS[name], choices or Choices()
     keys = jax.random.split(jax.random.fold_in(jax.random.key(seed), sorted(FIELDS).index(name)), 6)
     scene = (indoor if field.walls else outdoor)(keys[0])

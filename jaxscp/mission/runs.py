@@ -5,6 +5,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from typing import Any
 
+from jaxscp.core.arrays import check_whole
 from jaxscp.mission.cases import Choices, Request
 from jaxscp.mission.crew import Answer, Commanders, Crew
 from jaxscp.mission.fleet import Fleet, Start
@@ -47,8 +48,7 @@ def run_missions(
     Raises:
         ValueError: no such field or seed, several fields, or no slot.
     """
-    if slots < 1:
-        raise ValueError(f"slots: expected one or more, got {slots}")
+    check_whole("slots", slots, 1)
     rest = iter(requests)
     first = list(itertools.islice(rest, slots))  # slots without a flight would be computed all the same
     return _Runs(itertools.chain(first, rest), max(len(first), 1), crew or Crew()).results()
@@ -86,6 +86,8 @@ class _Runs:
         """Ask for cases of flights in free slots; whether there are any."""
         new = dict(zip(sorted(self.free), itertools.islice(self.waiting, len(self.free)), strict=False))
         for request in new.values():
+            if not isinstance(request, Request):
+                raise ValueError(f"requests: expected Request(field, seed), got {request!r}")
             self.field = self.field or request.field
             if request.field != self.field:
                 raise ValueError(f"requests: expected one field, got {self.field} and {request.field}")

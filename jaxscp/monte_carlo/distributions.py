@@ -9,6 +9,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
+from jaxscp.core.arrays import is_number
 from jaxscp.monte_carlo.errors import InvalidStudy
 
 Uniforms = Float[np.ndarray, "cases"]
@@ -29,6 +30,14 @@ def _require(holds: Any, message: str) -> None:
         raise InvalidStudy(message)
 
 
+def _require_numbers(distribution: Any, *fields: str) -> None:
+    for field in fields:
+        value = getattr(distribution, field)
+        _require(
+            is_number(value), f"{type(distribution).__name__}: {field} must be one number, got {value!r}."
+        )
+
+
 @dataclasses.dataclass(frozen=True)
 class Uniform:
     """Every value between two limits is equally likely.
@@ -46,6 +55,7 @@ class Uniform:
     upper: Real
 
     def __post_init__(self):
+        _require_numbers(self, "lower", "upper")
         _require(-np.inf < self.lower < self.upper < np.inf, f"Uniform: lower < upper must hold, got {self}.")
 
     def quantile(self, u: Uniforms) -> Uniforms:
@@ -61,6 +71,7 @@ class LogUniform:
     upper: Real
 
     def __post_init__(self):
+        _require_numbers(self, "lower", "upper")
         _require(
             0 < self.lower < self.upper < np.inf, f"LogUniform: 0 < lower < upper must hold, got {self}."
         )
@@ -97,6 +108,7 @@ class Normal:
     upper: Real = np.inf
 
     def __post_init__(self):
+        _require_numbers(self, "mean", "deviation", "lower", "upper")
         _require(
             0 < self.deviation < np.inf and np.isfinite(self.mean),
             f"Normal: needs a finite mean and a positive deviation, got {self}.",
@@ -127,6 +139,13 @@ class Choice:
     weights: tuple[Real, ...] | None = None
 
     def __post_init__(self):
+        for field in ("values", "weights"):
+            given = getattr(self, field)
+            known = isinstance(given, list | tuple | np.ndarray) and all(map(is_number, given))
+            _require(
+                known or (field == "weights" and given is None),
+                f"Choice: {field} must be a tuple of numbers, got {given!r}.",
+            )
         _require(len(self.values) > 0, "Choice: needs a value.")
         if self.weights is not None:
             _require(

@@ -8,12 +8,14 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float, Int
 
+from jaxscp.core.arrays import is_whole
 from jaxscp.monte_carlo.distributions import Real
 from jaxscp.monte_carlo.errors import InvalidStudy
 
 Numbers = Int[np.ndarray, "cases"]
 UnitPoints = Float[np.ndarray, "cases parameters"]
 
+_MOST_SEED = 2**128 - 1  # the key of a Philox generator
 _INSIDE = 2.0**-54  # half a step of 53 random bits: moves them from [0, 1) into (0, 1)
 
 
@@ -46,10 +48,12 @@ class _Seeded:
     def __post_init__(self):
         for field, least in (("count", 1), ("seed", 0)):
             value = getattr(self, field)
-            if not isinstance(value, int | np.integer) or value < least:
+            if not is_whole(value, least):
                 raise InvalidStudy(
                     f"{type(self).__name__}: {field} must be a whole number, {least} or more, got {value!r}."
                 )
+        if self.seed > _MOST_SEED:
+            raise InvalidStudy(f"{type(self).__name__}: seed must be less than 2^128, got {self.seed}.")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -123,8 +127,12 @@ class Grid:
     independent: bool = dataclasses.field(default=False, init=False)
 
     def __post_init__(self):
-        if not self.points_each or min(self.points_each) < 1:
-            raise InvalidStudy(f"Grid: needs a positive number for each parameter, got {self.points_each}.")
+        known = isinstance(self.points_each, list | tuple) and len(self.points_each) > 0
+        if not known or not all(is_whole(number, 1) for number in self.points_each):
+            raise InvalidStudy(
+                f"Grid: points_each must be a tuple of positive whole numbers, one for each parameter, got "
+                f"{self.points_each!r}."
+            )
 
     @property
     def count(self) -> int:

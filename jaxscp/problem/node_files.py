@@ -43,4 +43,8 @@ def read(file: str | os.PathLike) -> tuple[dict[str, np.ndarray], tuple[int, ...
     for name, array in arrays.items():
         if array.shape[0] != nodes:
             raise ValueError(f"{file}: field {name!r} has {array.shape[0]} nodes, but 'time' has {nodes}")
+        if array.dtype.kind not in "iuf":
+            raise ValueError(f"{file}: field {name!r} holds no numbers")
+    if not np.isfinite(arrays["time"]).all() or np.any(np.diff(arrays["time"]) < 0.0):
+        raise ValueError(f"{file}: field 'time' does not rise, or holds a value that is NaN or infinite")
     return arrays, hold

@@ -1,9 +1,9 @@
 """Checks of a problem's parts: each is of the class that its field needs."""
 
-import operator
 from typing import Any
 
 from jaxscp.cones.cone import Cone
+from jaxscp.core.arrays import is_whole
 from jaxscp.core.errors import InvalidProblem
 from jaxscp.dynamics.base import Dynamics
 from jaxscp.problem.boundary import Boundary, CoupledEnds, EndCondition
@@ -68,9 +68,5 @@ def check_instance(field: str, part: Any, expected: type | tuple[type, ...]) -> 
 
 
 def _check_count(field: str, value: Any, least: int) -> None:
-    try:
-        good = operator.index(value) >= least
-    except TypeError:
-        good = False
-    if not good:
+    if not is_whole(value, least):
         raise InvalidProblem(f"{field}: expected a whole number, {least} or more, got {value!r}.")

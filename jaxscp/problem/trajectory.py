@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxscp.core.arrays import is_number, namespace
+from jaxscp.core.arrays import check_whole, is_number, namespace
 from jaxscp.core.errors import InvalidProblem
 from jaxscp.core.types import Controls, Nodes, Scalar, States
 from jaxscp.dynamics.base import Dynamics
@@ -83,7 +83,15 @@ class Trajectory(eqx.Module):
 
         Args:
             dynamics: ``problem.dynamics``, or ``scenario.airframe.body`` of a landing.
+
+        Raises:
+            ValueError: if they have other numbers of states or controls.
         """
+        if dynamics is not None:
+            own = self.state.shape[-1], self.control.shape[-1]
+            given = dynamics.state_size, dynamics.control_size
+            if own != given:
+                raise ValueError(f"dynamics: expected {own} states and controls, got {given}")
         return Trajectory(self.time, self.state, self.control, self.dilation, self.zero_order_hold, dynamics)
 
     def at(self, times: Any, *, steps: int = STEPS) -> Samples:
@@ -101,7 +109,7 @@ class Trajectory(eqx.Module):
 
         Raises:
             ValueError: if a time is outside; inside ``jit`` and ``vmap``, its values are NaN. Also without dynamics,
-                and for times that are no numbers.
+                for times that are no numbers, and for ``steps`` that are no positive whole number.
 
         Example:
             >>> import jaxscp
@@ -110,6 +118,7 @@ class Trajectory(eqx.Module):
             [0.5, 1.0]
         """
         dynamics = self._known_dynamics()
+        check_whole("steps", steps, 1)
         if namespace(times, self.time) is np:
             check_inside(times, np.asarray(self.time))
         times = jnp.asarray(times).astype(self.time.dtype)
@@ -171,18 +180,25 @@ class Trajectory(eqx.Module):
     def resampled(self, nodes: int) -> Trajectory:
         """The trajectory on another number of nodes, linear in scaled time between its own.
 
+        Raises:
+            ValueError: if ``nodes`` is no whole number of two or more.
+
         Example:
             >>> import jaxscp
             >>> line = jaxscp.Trajectory.from_arrays([0.0, 2.0], [[0.0], [4.0]], [[1.0], [1.0]])
             >>> line.resampled(5).state[:, 0].tolist()
             [0.0, 1.0, 2.0, 3.0, 4.0]
         """
+        check_whole("nodes", nodes, 2)
         return self if nodes == self.nodes else self._at_scaled(jnp.linspace(0.0, 1.0, nodes), 1.0)
 
     def remainder(self, first: Scalar | float) -> Trajectory:
         """The part from a fraction of scaled time on, on as many nodes.
 
         Controls and dilation are exact at the new nodes; states are linear between the old ones.
+
+        Raises:
+            ValueError: if ``first`` is not in [0, 1); inside ``jit``, the values are then NaN.
 
         Example:
             >>> import jaxscp
@@ -191,6 +207,11 @@ class Trajectory(eqx.Module):
             >>> rest.state[:, 0].tolist(), float(rest.time[-1])
             ([2.0, 4.0], 1.0)
         """
+        if namespace(first) is np and not (is_number(first) and 0.0 <= first < 1.0):
+            raise ValueError(
+                f"first: expected a fraction of scaled time, 0 or more and below 1, got {first!r}"
+            )
+        first = jnp.where((first >= 0.0) & (first < 1.0), first, jnp.nan)
         places = first + (1.0 - first) * jnp.linspace(0.0, 1.0, self.nodes)
         return self._at_scaled(places, 1.0 - first)
 

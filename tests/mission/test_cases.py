@@ -14,7 +14,8 @@ def test_impossible_speeds_are_named(name, speed):
         Choices(**{name: speed})
 
 
-@pytest.mark.parametrize("seed", [-1, 2**63, 2**64 - 1])
+@pytest.mark.usefixtures("no_type_checks")
+@pytest.mark.parametrize("seed", [-1, 2**63, 2**64 - 1, 1.5, "1"])
 def test_seeds_that_no_key_holds_are_named(seed):
     with pytest.raises(ValueError, match=r"^seed: expected a whole number from 0 to"):
         draw_case("indoor", seed)

@@ -92,9 +92,17 @@ def test_missions_of_two_fields_are_refused(fleets):
         list(run_missions([Request("indoor", 0), Request("outdoor", 0)], 2, FakeCrew()))
 
 
+@pytest.mark.usefixtures("no_type_checks")
+def test_what_is_no_request_is_named(fleets):
+    with pytest.raises(ValueError, match=r"requests: expected Request\(field, seed\), got 'indoor'"):
+        list(run_missions(["indoor"], 2, FakeCrew()))
+
+
+@pytest.mark.usefixtures("no_type_checks")
 def test_slots_and_workers_are_needed():
-    with pytest.raises(ValueError, match="slots: expected one or more, got 0"):
-        run_missions([Request("indoor", 0)], slots=0)
+    for slots in (0, 1.5):
+        with pytest.raises(ValueError, match=f"slots: expected a whole number, 1 or more, got {slots}"):
+            run_missions([Request("indoor", 0)], slots=slots)
     with pytest.raises(ValueError, match="pool: expected one worker or more"):
         WorkerCrews([])
 

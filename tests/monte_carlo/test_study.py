@@ -133,6 +133,7 @@ def test_traced_values_give_the_same_case():
     jax.tree.map(np.testing.assert_array_equal, traced, planned.case(2))
 
 
+@pytest.mark.usefixtures("no_type_checks")
 @pytest.mark.parametrize(
     ("make", "message"),
     [
@@ -142,8 +143,18 @@ def test_traced_values_give_the_same_case():
         (lambda: mc.Parameter("thrust", mc.Uniform(0, 1), index=5).resolved(BASE), "no entry 5"),
         (lambda: mc.Parameter("flag", mc.Uniform(0, 1)).resolved({"flag": True}), "only floats"),
         (lambda: mc.Uniform(1, 1), "lower < upper"),
+        (lambda: mc.Uniform("a", 1), "Uniform: lower must be one number, got 'a'"),
+        (lambda: mc.LogUniform(1, None), "LogUniform: upper must be one number, got None"),
+        (lambda: mc.Normal(0, [1]), r"Normal: deviation must be one number, got \[1\]"),
+        (lambda: mc.Choice(3), "Choice: values must be a tuple of numbers, got 3"),
+        (lambda: mc.Choice((1, "b")), "Choice: values must be a tuple of numbers"),
+        (lambda: mc.Choice((1, 2), 0.5), "Choice: weights must be a tuple of numbers, got 0.5"),
         (lambda: mc.Normal(0, 1, lower=40), "no probability"),
         (lambda: mc.Independent(0), "count must be"),
+        (lambda: mc.Independent(True), "count must be"),
+        (lambda: mc.Independent(5, seed=2**128), "seed must be less than"),
+        (lambda: mc.Grid(3), "Grid: points_each must be a tuple of positive whole numbers"),
+        (lambda: mc.Grid((2, 1.5)), "Grid: points_each must be"),
         (lambda: study(mc.Grid((2, 2))), "2 numbers, but the study has 3"),
         (lambda: study(mc.Independent(5), correlations={("mass", "x"): 0.5}), "no parameter is called 'x'"),
         (

@@ -5,21 +5,13 @@ import dataclasses
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import jaxtyping
 import numpy as np
 import pytest
 
 import jaxscp as js
 from tests.support.own_problems import double_integrator, squared_control, time_taken
 
-
-@pytest.fixture(autouse=True)
-def no_type_checks():
-    """Wrong types must meet the library's own checks, not those that the other tests add."""
-    jaxtyping.config.update("jaxtyping_disable", True)
-    yield
-    jaxtyping.config.update("jaxtyping_disable", False)
-
+pytestmark = pytest.mark.usefixtures("no_type_checks")
 
 ENERGY = js.Cost(running=squared_control)
 FIXED, FREE = js.Time(5, js.FixedTime(2.0)), js.Time(5, js.FreeTime(0.1, 10.0))

@@ -5,7 +5,6 @@ import dataclasses
 
 import jax
 import jax.numpy as jnp
-import jaxtyping
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -237,17 +236,14 @@ def test_what_cannot_be_sampled_says_why():
         path.at([[1.0]])
 
 
+@pytest.mark.usefixtures("no_type_checks")
 def test_what_is_no_number_is_named():
     path = drive()
-    jaxtyping.config.update("jaxtyping_disable", True)  # the library's own checks are tested
-    try:
-        with pytest.raises(ValueError, match=r"rate: a positive number.*got '100'"):
-            path.sample(rate="100")  # pyright: ignore[reportArgumentType]
-        for times in ("a", None, [[1.0], [1.0, 2.0]]):
-            with pytest.raises(ValueError, match=r"times: numbers are expected, in s, got"):
-                path.at(times)
-    finally:
-        jaxtyping.config.update("jaxtyping_disable", False)
+    with pytest.raises(ValueError, match=r"rate: a positive number.*got '100'"):
+        path.sample(rate="100")  # pyright: ignore[reportArgumentType]
+    for times in ("a", None, [[1.0], [1.0, 2.0]]):
+        with pytest.raises(ValueError, match=r"times: numbers are expected, in s, got"):
+            path.at(times)
 
 
 # --- tables ---

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxscp import Solution, Trajectory
+from jaxscp import DoubleIntegrator, Solution, Trajectory, airframes
 from jaxscp.core import pytree_file
 from jaxscp.problem.node_values import node_times
 
@@ -91,6 +91,37 @@ def test_batch_of_times():
     np.testing.assert_allclose(together, [control_at(trajectory, t) for t in times], atol=ROUNDING)
 
 
+@pytest.mark.usefixtures("no_type_checks")
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        (
+            lambda path: path.with_dynamics(DoubleIntegrator(2)),
+            r"dynamics: expected \(13, 4\) states and controls",
+        ),
+        (
+            lambda path: path.with_dynamics(airframes.paper_mav().body).at(0.1, steps=2.5),
+            r"steps: .* got 2\.5",
+        ),
+        (lambda path: path.with_dynamics(airframes.paper_mav().body).at(0.1, steps=0), r"steps: .* got 0"),
+        (lambda path: path.resampled(1), r"nodes: .* got 1"),
+        (lambda path: path.resampled(5.0), r"nodes: .* got 5\.0"),
+        (lambda path: path.remainder(1.0), r"first: .* got 1\.0"),
+        (lambda path: path.remainder(-0.1), r"first: .* got -0\.1"),
+        (lambda path: path.remainder(float("nan")), r"first: .* got nan"),
+    ],
+)
+def test_what_makes_no_sense_of_a_trajectory_is_named(wrong, message):
+    with pytest.raises(ValueError, match=message):
+        wrong(example())
+
+
+def test_a_remainder_from_outside_is_nan_inside_jit():
+    inside, outside = (jax.jit(lambda path, f: path.remainder(f))(example(), first) for first in (0.5, 1.5))
+    np.testing.assert_array_equal(inside.state, example().remainder(0.5).state)
+    assert all(jnp.isnan(values).all() for values in (outside.dilation, outside.state, outside.control))
+
+
 # --- files ---
 
 
@@ -129,6 +160,21 @@ def test_a_field_of_another_length_is_named(tmp_path, short):
     np.savez(tmp_path / "short.npz", **arrays)
     with pytest.raises(ValueError, match=short):
         Trajectory.load(tmp_path / "short.npz")
+
+
+@pytest.mark.parametrize(
+    ("field", "values"),
+    [
+        ("time", np.full(NODES, np.nan)),
+        ("time", np.arange(NODES, 0, -1.0)),
+        ("state", np.full((NODES, 13), "1.0")),
+    ],
+)
+def test_a_field_without_sense_is_named(tmp_path, field, values):
+    arrays = {name: np.asarray(getattr(example(), name)) for name in FIELDS}
+    np.savez(tmp_path / "strange.npz", **(arrays | {field: values}))
+    with pytest.raises(ValueError, match=f"strange.*'{field}'"):
+        Trajectory.load(tmp_path / "strange.npz")
 
 
 @pytest.mark.parametrize("content", [b"", b"not an archive", b"PK\x03\x04 broken"])

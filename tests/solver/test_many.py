@@ -7,7 +7,6 @@ from concurrent.futures import ThreadPoolExecutor
 
 import equinox as eqx
 import jax
-import jaxtyping
 import numpy as np
 import pytest
 
@@ -127,17 +126,14 @@ def test_wrong_numbers_are_refused_by_name():
         PLANNER.map(stack(MASSES), batch_size=3, devices=tuple(jax.devices()) * 2)
 
 
+@pytest.mark.usefixtures("no_type_checks")
 def test_arguments_of_another_class_are_refused_by_name():
-    jaxtyping.config.update("jaxtyping_disable", True)  # the library's own checks are tested
-    try:
-        for name, value in (("keep", 5), ("progress", "bar"), ("devices", "cpu"), ("devices", ("cpu",))):
-            with pytest.raises(ValueError, match=f"^{name}: expected"):
-                PLANNER.map(stack(MASSES), **{name: value})
-        for name, value in (("nodes", "30"), ("nodes", 1), ("method", "paper"), ("samples", 2.5)):
-            with pytest.raises(InvalidScenario, match=f"^{name}: expected"):
-                jaxscp.Planner(**{name: value})
-    finally:
-        jaxtyping.config.update("jaxtyping_disable", False)
+    for name, value in (("keep", 5), ("progress", "bar"), ("devices", "cpu"), ("devices", ("cpu",))):
+        with pytest.raises(ValueError, match=f"^{name}: expected"):
+            PLANNER.map(stack(MASSES), **{name: value})
+    for name, value in (("nodes", "30"), ("nodes", 1), ("method", "paper"), ("samples", 2.5)):
+        with pytest.raises(InvalidScenario, match=f"^{name}: expected"):
+            jaxscp.Planner(**{name: value})
 
 
 ON_TWO_DEVICES = """
