@@ -36,6 +36,10 @@ FRACTION_TO_BOUNDARY = 0.99  # of the way to the cone's boundary that a step may
 # Times mu: residual below which mu may fall. The first after a Newton step that nothing shortened or corrected; else
 # the tolerance of Waechter and Biegler: a path that is left there is rarely found again at a lower mu.
 BARRIER_TOLERANCE_FACTOR, CAREFUL_FACTOR = 1000.0, 30.0
+# Exponent of the next mu (Waechter and Biegler: 1.5), and size of the dilation relative to its typical one, as inertia
+# corrections see it: they then change the mesh less, along which costs are nearly equal. With 1.5 and 1, half as many
+# random chains of boxes again end over 1 % above the best cost known, in as many steps.
+BARRIER_DECREASE, SIZE_OF_DILATION = 1.25, 0.3
 WHOLE = 0.9  # fraction of a step that counts as all of it
 MAX_STEP = 1.5  # largest step of a variable, in its typical size
 MUCH_OF_THE_WAY, LEAST_DAMPING = 0.5, 1.0 / 64.0  # of the last step that a step goes back; factor of a step
@@ -164,9 +168,10 @@ class NLPInteriorPoint(eqx.Module):
         pairs = pairs_of(problem, old.slack, old.y.values, curved)
         error = _kkt_residual(problem, old, model, pairs, scale)
         mu = self._next_mu(old, error)
-        matrix = newton_matrix(problem, model, pairs.eliminated, scale)
+        sizes = scale.at[-1].multiply(SIZE_OF_DILATION)
+        matrix = newton_matrix(problem, model, pairs.eliminated, sizes)
         factor, correction = factor_definite(matrix, old.inertia_correction)
-        step = newton_direction(problem, model, pairs, mu, factor, scale)
+        step = newton_direction(problem, model, pairs, mu, factor, sizes)
 
         size = jnp.max(jnp.abs(step.z / scale))
         damping = next_damping(old.damping, old.step, step.z / scale)
@@ -201,7 +206,7 @@ class NLPInteriorPoint(eqx.Module):
         """The barrier parameter, lowered where the iterate is close to the central path."""
         mu, factor = at.mu, jnp.where(at.regular, BARRIER_TOLERANCE_FACTOR, CAREFUL_FACTOR)
         ready = (error <= factor * mu) & (mu > self.final_mu)
-        return jnp.where(ready, jnp.maximum(self.final_mu, jnp.minimum(0.2 * mu, mu**1.5)), mu)
+        return jnp.where(ready, jnp.maximum(self.final_mu, jnp.minimum(0.2 * mu, mu**BARRIER_DECREASE)), mu)
 
 
 def next_damping(
