@@ -20,6 +20,9 @@ import numpy as np
 from jax.core import Tracer, eval_jaxpr
 from jax.interpreters.partial_eval import dce_jaxpr
 
+from jaxscp.core.jaxpr_key import HasRules, jaxpr_key
+from jaxscp.core.outside import known_by_values
+
 PACKAGE = __name__.partition(".")[0]
 MOST_KNOWN = 512  # functions that are remembered
 MOST_VERSIONS = 3  # programs of one line of code, before a warning
@@ -65,14 +68,16 @@ class Program:
         return f"Program({self.digest[:8]})"
 
 
-def identify(function: Callable[..., Any], *arguments: Any, key: Hashable = None) -> tuple[Program, tuple]:
+def identify(function: Callable[..., Any], *arguments: Any) -> tuple[Program, tuple]:
     """The function as a program, and the tracers that it closes over.
+
+    A function that reads a changed value is another program. So it is traced at every call, unless its code and all
+    values that it reads can be compared. It is lowered only if no known one has the same jaxpr.
 
     Args:
         function: pure; returns one array or number.
         arguments: examples, ``jax.ShapeDtypeStruct`` will do; the last one is a pytree of parameters. The program takes
             its leaves, after the tracers.
-        key: what determines the function, by default the function and the values that it closes over.
 
     Raises:
         TypeError: if it returns no array.
@@ -88,21 +93,20 @@ def identify(function: Callable[..., Any], *arguments: Any, key: Hashable = None
     """
     shapes = jax.tree.map(lambda v: jax.ShapeDtypeStruct(jnp.shape(v), jnp.result_type(v)), arguments)
     leaves, tree = jax.tree.flatten(shapes)
-    alive: list[Any] = [function, key]  # so that the numbers of these objects stay their own
-    snapshot = key if key is not None else _snapshot(function, alive)
-    whole = (snapshot, tree, tuple((v.shape, str(v.dtype)) for v in leaves))
-    if whole in _known:
-        return _known[whole][0], ()
+    values = known_by_values(function)
+    whole = (values, tree, tuple((v.shape, str(v.dtype)) for v in leaves))
+    if values is not None and whole in _by_values:
+        return _by_values[whole], ()
     closed, out = jax.make_jaxpr(_returning_floats(function), return_shape=True)(*shapes)
     captured = tuple(i for i, c in enumerate(closed.consts) if isinstance(c, Tracer))
     program = Program(closed, captured, out.shape, "")
     tracers = tuple(closed.consts[i] for i in captured)
-    program.digest = _digest(program, leaves, tracers)
     if tracers:  # they end with the transformation that made them
+        program.digest = _digest(program, leaves, tracers)
         return program, tracers
-    if len(_known) >= MOST_KNOWN:
-        _known.clear()
-    _known[whole] = program, alive
+    program = _known_or_lowered(program, leaves)
+    if values is not None:
+        _remember(_by_values, whole, program)
     _warn_of_versions(function, program)
     return program, ()
 
@@ -145,8 +149,33 @@ def wholly_of_this_package(part: Any) -> bool:
     return callable(part) and of_this_package(part)
 
 
-_known: dict[Hashable, tuple[Program, list]] = {}
+_by_values: dict[Hashable, Program] = {}
+_by_jaxpr: dict[Hashable, Program] = {}
 _versions: dict[Hashable, set[str]] = defaultdict(set)
+
+
+def _known_or_lowered(program: Program, leaves: list) -> Program:
+    """A known program with the same jaxpr, or this one with its digest."""
+    try:
+        key = jaxpr_key(program.closed)
+    except HasRules:  # the jaxpr of the derivatives shows them
+        derivatives, examples = _derivatives(program, leaves, ())
+        try:
+            key = jaxpr_key(jax.make_jaxpr(derivatives)(*examples))
+        except HasRules:
+            key = None
+    if key is not None and key in _by_jaxpr:
+        return _by_jaxpr[key]
+    program.digest = _digest(program, leaves, ())
+    if key is not None:
+        _remember(_by_jaxpr, key, program)
+    return program
+
+
+def _remember(known: dict[Hashable, Program], key: Hashable, program: Program) -> None:
+    if len(known) >= MOST_KNOWN:
+        known.clear()
+    known[key] = program
 
 
 def _returning_floats(function: Callable[..., Any]) -> Callable[..., jax.Array]:
@@ -163,8 +192,8 @@ def _returning_floats(function: Callable[..., Any]) -> Callable[..., jax.Array]:
     return floating
 
 
-def _digest(program: Program, leaves: list, tracers: tuple) -> str:
-    """Hash of the lowered value and its directional derivatives, and of constants that JAX passes beside the text."""
+def _derivatives(program: Program, leaves: list, tracers: tuple) -> tuple[Callable[..., Any], tuple]:
+    """A function that gives the value and its first and second directional derivatives, and its arguments' shapes."""
     count = len(tracers)
     values = [*(jax.ShapeDtypeStruct(v.shape, v.dtype) for v in tracers), *leaves]
     moving = [i for i, v in enumerate(values) if jnp.issubdtype(v.dtype, jnp.inexact)]
@@ -180,7 +209,13 @@ def _digest(program: Program, leaves: list, tracers: tuple) -> str:
         return jax.jvp(slope, tuple(values[i] for i in moving), second)
 
     directions = tuple(values[i] for i in moving)
-    text = jax.jit(derivatives).lower(values, directions, directions).as_text()
+    return derivatives, (values, directions, directions)
+
+
+def _digest(program: Program, leaves: list, tracers: tuple) -> str:
+    """Hash of the lowered value and its directional derivatives, and of constants that JAX passes beside the text."""
+    derivatives, examples = _derivatives(program, leaves, tracers)
+    text = jax.jit(derivatives).lower(*examples).as_text()
     digest = hashlib.sha256(text.encode())
     for constant in program.closed.consts:
         if not isinstance(constant, Tracer):
@@ -189,32 +224,11 @@ def _digest(program: Program, leaves: list, tracers: tuple) -> str:
     return digest.hexdigest()
 
 
-def _snapshot(function: Any, alive: list) -> Hashable:
-    """The function, and the values that it finds outside: they may change between two calls."""
-    inner = getattr(function, "__wrapped__", function)
-    inner = getattr(inner, "__func__", inner)
-    code = getattr(inner, "__code__", None)
-    if code is None:
-        return id(function)
-    cells = [c.cell_contents for c in inner.__closure__ or () if _filled(c)]
-    outer = [inner.__globals__[name] for name in code.co_names if name in inner.__globals__]
-    values = [*cells, *outer, *(inner.__defaults__ or ())]
-    alive += values
-    return id(function), tuple((id(v), v.tobytes() if isinstance(v, np.ndarray) else None) for v in values)
-
-
-def _filled(cell: types.CellType) -> bool:
-    try:
-        cell.cell_contents  # noqa: B018
-    except ValueError:
-        return False
-    return True
-
-
 def _warn_of_versions(function: Any, program: Program) -> None:
     """Warn where one line of code makes a new program for every value that it closes over."""
     code = getattr(function, "__code__", None)
-    if code is None:
+    ours = (getattr(function, "__module__", None) or "").partition(".")[0] == PACKAGE
+    if code is None or ours or program.digest in _versions[code]:
         return
     versions = _versions[code]
     versions.add(program.digest)

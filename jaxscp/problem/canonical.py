@@ -100,13 +100,13 @@ def _with_arrays(tree: Any, field: str) -> Any:
 
 
 def _program(
-    function: Callable[..., Any], field: str, arguments: tuple, parameters: Any, key: Any = None
+    function: Callable[..., Any], field: str, arguments: tuple, parameters: Any
 ) -> tuple[Program, tuple]:
     """The program of a function, and what it captures."""
     if not callable(function):
         raise InvalidProblem(f"{field}: expected a function, got a {type(function).__name__}.")
     try:
-        return identify(function, *arguments, parameters, key=key)
+        return identify(function, *arguments, parameters)
     except Exception as error:
         words = ", ".join(str(v.shape) for v in arguments)
         raise InvalidProblem(
@@ -153,8 +153,7 @@ def _dynamics(dynamics: Dynamics, x: Any, u: Any) -> Dynamics:
     def function(x, u, t, leaves):
         return jax.tree.unflatten(tree, leaves)(x, u, t)
 
-    key = type(dynamics), tree
-    program, captured = _program(function, "dynamics", arguments, tuple(parameters), key)
+    program, captured = _program(function, "dynamics", arguments, tuple(parameters))
     _expect(program.shape, "dynamics", x.shape, words)
     return FunctionDynamics(program, x.shape[0], u.shape[0], (*captured, *parameters))
 
