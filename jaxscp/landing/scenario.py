@@ -220,6 +220,10 @@ class LandingScenario(Mission):
         guess = initial_guess(jax.lax.stop_gradient(self), leg_of(context))
         return Trajectory(node_times(guess.dilation), guess.states, guess.controls, guess.dilation)
 
+    def sized(self, stated: OptimalControlProblem, guess: Trajectory, form: Form) -> None:
+        """None: the units of ``in_solver_units`` are good."""
+        return
+
     def warm_guess(self, plan: Trajectory) -> Trajectory:
         """A plan of a similar scenario, moved to this one's start and goal.
 

@@ -7,6 +7,8 @@ changes no size.
 Known are a variable's range over the guess, and a control's distance from its limits. The rest lies between two
 bounds. A state cannot move further than its rate carries it in the whole time; and a variable that alone moves another
 one must be large enough to do so in that time.
+
+At a solution, the largest value of a control is known, and its limits do not count: a large one may stand for none.
 """
 
 import jax
@@ -22,19 +24,22 @@ from jaxscp.problem.trajectory import Trajectory
 
 ABOUT_ONE = 30.0  # sizes up to this, and down to its inverse, count as one
 ROUNDING = 1e-9  # of the largest size: a smaller one counts as zero
+NOISE = 1e-6  # of the size in which a solution was found: a smaller change of it counts as zero
 OVERSTATED = 3.0  # a change of the cost is the sum of the changes by all variables, as if none cancelled
 
 
-def usual_scale(problem: OptimalControlProblem, guess: Trajectory) -> Scale:
+def usual_scale(problem: OptimalControlProblem, guess: Trajectory, before: Scale | None = None) -> Scale:
     """Sizes of states, controls, time and cost; without derivatives.
 
     Args:
         problem: of ``canonical``.
         guess: to measure them at.
+        before: sizes in which it was found, if it is a solution.
     """
-    problem, guess = jax.lax.stop_gradient((problem, guess))
+    problem, guess, before = jax.lax.stop_gradient((problem, guess, before))
     time, states = guess.time[-1], guess.state.shape[1]
-    sizes = _sizes(problem, guess, time)
+    known = _at_guess(problem, guess) if before is None else _at_solution(problem, guess, before)
+    sizes = _sizes(problem, guess, known)
     cost = _change_of_cost(problem, guess, sizes)
     return Scale(
         state=_rounded(sizes[:states]),
@@ -44,13 +49,30 @@ def usual_scale(problem: OptimalControlProblem, guess: Trajectory) -> Scale:
     )
 
 
-def _sizes(problem: OptimalControlProblem, guess: Trajectory, time: Scalar) -> Float[Array, "variables"]:
-    """Of states and controls, before rounding; the number nearest to one where only bounds are known."""
+def _at_guess(problem: OptimalControlProblem, guess: Trajectory) -> Float[Array, "variables"]:
+    """Ranges over the guess, and larger distances of controls from their limits; zero where nothing is known."""
     states = guess.state.shape[1]
-    variables = jnp.concatenate([guess.state, guess.control], axis=1)
-    known = jnp.max(variables, axis=0) - jnp.min(variables, axis=0)
+    known = jnp.concatenate([jnp.ptp(guess.state, axis=0), jnp.ptp(guess.control, axis=0)])
     distance = _distance_from_limits(problem, guess)
-    known = jnp.where(jnp.arange(len(known)) < states, known, jnp.maximum(known, distance))
+    return jnp.where(jnp.arange(len(known)) < states, known, jnp.maximum(known, distance))
+
+
+def _at_solution(
+    problem: OptimalControlProblem, plan: Trajectory, before: Scale
+) -> Float[Array, "variables"]:
+    """Ranges of states and largest values of controls; distances from limits for controls that are not used."""
+    states = plan.state.shape[1]
+    used = jnp.concatenate([jnp.ptp(plan.state, axis=0), jnp.max(jnp.abs(plan.control), axis=0)])
+    used = jnp.where(used > NOISE * jnp.concatenate([before.state, before.control]), used, 0.0)
+    unused = (used == 0.0) & (jnp.arange(len(used)) >= states)
+    return jnp.where(unused, _distance_from_limits(problem, plan), used)
+
+
+def _sizes(
+    problem: OptimalControlProblem, guess: Trajectory, known: Float[Array, "variables"]
+) -> Float[Array, "variables"]:
+    """Of states and controls, before rounding; the number nearest to one where only bounds are known."""
+    time, states = guess.time[-1], guess.state.shape[1]
     rates, slopes = _largest_rates(problem, guess)
     known, own = jnp.split(_without_rounding(jnp.concatenate([_finite(known), time * rates])), [len(known)])
     others = _without_rounding(time * slopes * (1.0 - jnp.eye(states, len(known))))

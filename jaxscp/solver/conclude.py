@@ -7,14 +7,16 @@ import jax
 import jax.numpy as jnp
 
 from jaxscp.core import batching
+from jaxscp.core.implicit import undefined_unless
 from jaxscp.core.obstacles import Hull
 from jaxscp.core.status import Status, StatusCode
-from jaxscp.core.types import Scalar
+from jaxscp.core.types import Flag, Scalar
 from jaxscp.problem.scaled_time import ScaledTimeProblem
 from jaxscp.problem.trajectory import Trajectory
 from jaxscp.scp.history import History
 from jaxscp.scp.method import Method, MethodResult
 from jaxscp.solver.scenario import Units
+from jaxscp.solver.sized import Sized
 from jaxscp.solver.solution import Solution
 from jaxscp.transcription.gradient import gradient_by
 from jaxscp.transcription.layout import trajectory_of
@@ -33,14 +35,23 @@ class Reported(eqx.Module):
     """Of the solver."""
 
 
+class Measures(eqx.Module):
+    """What a certificate measures by."""
+
+    sized: Sized | None
+    """Sizes in which the solution was found; None if the problem's units are good."""
+    hull: Hull | None
+    """The vehicle among known obstacles, in the user's units; None if there are none."""
+
+
 def conclude(
     method: Method,
     samples: int,
     problem: ScaledTimeProblem,
     result: MethodResult,
     context: Any,
-    reported: Reported | None = None,
-    hull: Hull | None = None,
+    reported: Reported | None,
+    measures: Measures,
 ) -> Solution:
     """The solution with its certificate.
 
@@ -51,7 +62,7 @@ def conclude(
         result: of the method.
         context: of the scenario, or None.
         reported: the problem in the user's units; None if it is the one that was solved.
-        hull: the vehicle among known obstacles, in the user's units; None if there are none.
+        measures: of the certificate.
     """
     trajectory, multipliers, z = trajectory_of(problem, result.z), result.multipliers, result.z
     if reported is not None:
@@ -60,7 +71,7 @@ def conclude(
         if multipliers is not None:
             multipliers = reported.units.multipliers(problem, multipliers)
     asked = problem if reported is None else reported.problem
-    frozen = jax.lax.stop_gradient((problem, result, asked, trajectory, hull))
+    frozen = jax.lax.stop_gradient((problem, result, asked, trajectory, measures))
     certificate = batching.in_chunks(
         lambda fixed: _certificate(method, samples, *fixed), frozen, CERTIFICATE_CHUNK
     )
@@ -81,6 +92,14 @@ def conclude(
         fell_back=jnp.zeros((), bool),
         recovers=jnp.zeros((), bool),
     )
+
+
+def solution_if_valid(ok: Flag, solution: Solution) -> Solution:
+    """NaN in every float and every derivative, and ``invalid_input``, for an element that is not valid."""
+    floats, rest = eqx.partition(solution, eqx.is_inexact_array)
+    rest = jax.tree.map(lambda v: jnp.where(ok, v, jnp.zeros_like(v)), rest)
+    found = eqx.combine(undefined_unless(ok, floats), rest)
+    return eqx.tree_at(lambda s: s.status, found, Status.where(ok, solution.status, Status.invalid_input))
 
 
 def _status(status: StatusCode, certificate: Certificate, between_nodes: bool) -> StatusCode:
@@ -112,11 +131,16 @@ def _certificate(
     result: MethodResult,
     asked: ScaledTimeProblem,
     trajectory: Trajectory,
-    hull: Hull | None,
+    measures: Measures,
 ) -> Certificate:
-    """Certificate of a trajectory; with multipliers and a grid, its KKT residual by the verifier's integration."""
+    """Certificate of a trajectory; with multipliers and a grid, its KKT residual by the verifier's integration.
+
+    It measures by the sizes of the trajectory itself.
+    """
+    if measures.sized is not None:
+        asked = measures.sized.at(trajectory).problem()
     optimality = None
     if result.multipliers is not None and method.grid is not None:
         gradient = gradient_by(eighth_order(), problem, result.z, result.multipliers, method.grid)
         optimality = stationarity(gradient, result.z, result.cost)
-    return certify(asked, trajectory, samples, optimality, hull)
+    return certify(asked, trajectory, samples, optimality, measures.hull)

@@ -22,19 +22,18 @@ from jax.core import Tracer
 from jaxscp.aot import aot, export, planner_cache
 from jaxscp.backends.xla import any_rank, is_traced, jit_with_options
 from jaxscp.core.errors import InvalidScenario
-from jaxscp.core.implicit import undefined_unless
-from jaxscp.core.status import Status
 from jaxscp.core.types import Flag, Scalar
 from jaxscp.problem.canonical import canonical
 from jaxscp.problem.lowering import over_scaled_time
 from jaxscp.problem.scaled_time import ScaledTimeProblem
 from jaxscp.problem.trajectory import Trajectory
 from jaxscp.scp.method import Method, MethodResult, iterate
-from jaxscp.solver.conclude import Reported, conclude
+from jaxscp.solver.conclude import Measures, Reported, conclude, solution_if_valid
 from jaxscp.solver.fallback import better
 from jaxscp.solver.load import load_planner
-from jaxscp.solver.rest import checked_seconds, rest_of
-from jaxscp.solver.scenario import Advisor, Scenario
+from jaxscp.solver.rest import checked_seconds, replan_doubt, rest_of
+from jaxscp.solver.scenario import Scenario
+from jaxscp.solver.sized import Sized, iterate_sized
 from jaxscp.solver.solution import Solution
 
 
@@ -90,7 +89,7 @@ class Pipeline(eqx.Module):
         keep_mesh = not is_traced((plan, scenario, elapsed)) and seconds > 0.0
         if traced or seconds > 0.0:
             fixed.check_shapes(scenario)
-            if (doubt := _replan_doubt(plan, scenario, seconds)) is not None:
+            if (doubt := replan_doubt(plan, scenario, seconds)) is not None:
                 warnings.warn(doubt, stacklevel=3)
             plan, scenario, context = rest_of(plan, context, scenario, seconds)
         found = fixed._from_plan(plan.with_dynamics(None), context, scenario, jnp.asarray(keep_mesh))
@@ -151,7 +150,7 @@ class Pipeline(eqx.Module):
 
     def setup(self, scenario: Scenario) -> tuple[ScaledTimeProblem, Any, Any]:
         """Problem over scaled time, first node variables and context: the inputs of the iterations."""
-        _, _, problem, z, (_, context, *_) = _inputs(self, scenario)
+        _, _, problem, z, _, (_, context, *_) = _inputs(self, scenario)
         return problem, z, context
 
     def nodes_for(self, scenario: Scenario) -> int:
@@ -224,8 +223,9 @@ def _inputs(
     else:
         guess = scenario.warm_guess(plan)
         guess = guess if units is None else units.own_trajectory(guess)
-    problem = over_scaled_time(canonical(stated), form, guess)
-    reported = None
+    stated, reported = canonical(stated), None
+    sized = own.sized(stated, guess, form)
+    problem = over_scaled_time(stated, form, guess) if sized is None else sized.problem()
     if units is not None:
         asked, _ = scenario.problem(nodes, form, context)
         reported = Reported(over_scaled_time(canonical(asked), form), units)
@@ -235,6 +235,7 @@ def _inputs(
         jnp.asarray(keep_mesh),
         problem,
         z,
+        sized,
         (reported, context, scenario.hull(context), scenario.starts_outside()),
     )
 
@@ -262,35 +263,38 @@ def _setup_again(pipeline: Pipeline, scenario: Scenario, context: Any, plan: Tra
 
 
 @functools.partial(jit_with_options, static_argnums=0)
-def _solve(pipeline: Pipeline, ok: Flag, keep_mesh: Flag, problem: ScaledTimeProblem, z, about: Any):
-    return _strongly_typed((ok, problem, iterate(pipeline.method, problem, z, ok, keep_mesh), about))
+def _solve(
+    pipeline: Pipeline,
+    ok: Flag,
+    keep_mesh: Flag,
+    problem: ScaledTimeProblem,
+    z,
+    sized: Sized | None,
+    about: Any,
+):
+    if sized is None:
+        result = iterate(pipeline.method, problem, z, ok, keep_mesh)
+    else:
+        result, problem, sized = iterate_sized(pipeline.method, sized, ok, keep_mesh)
+    return _strongly_typed((ok, problem, result, sized, about))
 
 
 @functools.partial(jit_with_options, static_argnums=0)
 def _conclude(
-    pipeline: Pipeline, ok: Flag, problem: ScaledTimeProblem, result: MethodResult, about: Any
+    pipeline: Pipeline,
+    ok: Flag,
+    problem: ScaledTimeProblem,
+    result: MethodResult,
+    sized: Sized | None,
+    about: Any,
 ) -> Solution:
     reported, context, hull, outside = about
-    solution = conclude(pipeline.method, pipeline.samples, problem, result, context, reported, hull)
+    measures = Measures(sized, hull)
+    solution = conclude(pipeline.method, pipeline.samples, problem, result, context, reported, measures)
     solution = eqx.tree_at(lambda s: s.recovers, solution, outside)
-    return _undefined_unless(ok, solution)
+    return solution_if_valid(ok, solution)
 
 
 def _strongly_typed(values):
     """Without weak types: else 0.5 from Python and 0.5 from an array would each compile a solver of their own."""
     return jax.tree.map(lambda v: jnp.asarray(v, jnp.result_type(v)), values)
-
-
-def _undefined_unless(ok, solution: Solution) -> Solution:
-    """NaN in every float and every derivative, and ``invalid_input``, for an element that is not valid."""
-    floats, rest = eqx.partition(solution, eqx.is_inexact_array)
-    rest = jax.tree.map(lambda v: jnp.where(ok, v, jnp.zeros_like(v)), rest)
-    found = eqx.combine(undefined_unless(ok, floats), rest)
-    return eqx.tree_at(lambda s: s.status, found, Status.where(ok, solution.status, Status.invalid_input))
-
-
-def _replan_doubt(plan: Trajectory, scenario: Scenario, seconds: Any) -> str | None:
-    """The scenario's doubt about itself as the present one; None of a traced one."""
-    if is_traced((plan, scenario, seconds)) or not isinstance(scenario, Advisor):
-        return None
-    return scenario.replan_doubt(plan, seconds) or None

@@ -1,6 +1,5 @@
 """A problem and a guess as a scenario: what a solver is asked."""
 
-import dataclasses
 from typing import Any
 
 import equinox as eqx
@@ -16,7 +15,7 @@ from jaxscp.problem.lowering import dilation_limits
 from jaxscp.problem.node_values import node_times
 from jaxscp.problem.problem import OptimalControlProblem
 from jaxscp.problem.trajectory import Trajectory
-from jaxscp.problem.usual_scale import usual_scale
+from jaxscp.solver.sized import Sized
 from jaxscp.solver.solution import Solution
 
 
@@ -61,11 +60,12 @@ class Request(eqx.Module):
         return self, None
 
     def problem(self, nodes: int, form: Form, context: Any = None) -> tuple[OptimalControlProblem, None]:
-        """The problem with a scale, which needs no context."""
-        if self.asked.scale is not None:
-            return self.asked, None
-        scale = usual_scale(self.asked, _in_time(self.asked, self.start))
-        return dataclasses.replace(self.asked, scale=scale), None
+        """The problem, which needs no context."""
+        return self.asked, None
+
+    def sized(self, stated: OptimalControlProblem, guess: Trajectory, form: Form) -> Sized:
+        """The problem, in sizes measured at the guess."""
+        return Sized.on(stated, guess, form)
 
     def guess(self, problem: OptimalControlProblem, context: Any) -> Trajectory:
         """The guess, with a time that the problem allows."""

@@ -7,9 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
+from jaxscp.backends.xla import is_traced
 from jaxscp.core.errors import InvalidScenario
 from jaxscp.core.types import Scalar
 from jaxscp.problem.trajectory import Trajectory
+from jaxscp.solver.scenario import Advisor, Scenario
 
 
 def checked_seconds(plan: Trajectory, elapsed: Any) -> float:
@@ -43,3 +45,10 @@ def rest_of(plan: Trajectory, context: Any, scenario: Any, elapsed: Scalar | flo
         middles = middles.at[0].set(first)
         context = jax.tree.map(lambda v: v[interval_of(middles)], context)
     return rest, scenario, context
+
+
+def replan_doubt(plan: Trajectory, scenario: Scenario, seconds: Any) -> str | None:
+    """The scenario's doubt about itself as the present one; None of a traced one."""
+    if is_traced((plan, scenario, seconds)) or not isinstance(scenario, Advisor):
+        return None
+    return scenario.replan_doubt(plan, seconds) or None

@@ -11,6 +11,7 @@ from jaxscp.problem.multipliers import Multipliers
 from jaxscp.problem.problem import OptimalControlProblem
 from jaxscp.problem.scaled_time import ScaledTimeProblem
 from jaxscp.problem.trajectory import Trajectory
+from jaxscp.solver.sized import Sized
 
 
 @runtime_checkable
@@ -85,6 +86,10 @@ class Scenario(Protocol):
 
     def guess(self, problem: OptimalControlProblem, context: Any) -> Trajectory:
         """A trajectory to start from."""
+        ...
+
+    def sized(self, stated: OptimalControlProblem, guess: Trajectory, form: Form) -> Sized | None:
+        """The problem in sizes that are measured at a guess, and again at its solution; None if its units are good."""
         ...
 
     def hull(self, context: Any) -> Hull | None:
