@@ -40,7 +40,10 @@ class WithinBounds(eqx.Module):
                 which = "controls" if side.of_control else "states"
                 raise ValueError(f"bounds was given {side.size} limits of {vector.shape[0]} {which}")
             part = components(vector, side.chosen)
-            rows.append(limit - part if side.upper else part - limit)
+            slack = limit - part if side.upper else part - limit
+            rows.append(
+                jnp.where(limit == (jnp.inf if side.upper else -jnp.inf), 1.0, slack)
+            )  # none, if traced
         return jnp.concatenate(rows)
 
 

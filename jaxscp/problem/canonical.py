@@ -211,9 +211,10 @@ def _named(c: Constraint, number: int) -> Constraint:
 def _constraint(c: Constraint, place: str, x: Any, u: Any, nodes: int) -> Constraint:
     field = f"{place} ({c.name})"
     c = _with_arrays(c, field)
-    if c.active is not None and c.active.shape != (nodes,):
+    if c.active is not None and (c.active.shape != (nodes,) or c.active.dtype != bool):
         raise InvalidProblem(
-            f"{field}.active: expected shape ({nodes},), one for each node, got {c.active.shape}."
+            f"{field}.active: expected flags of shape ({nodes},), True or False for each node; got {c.active.dtype} of "
+            f"shape {c.active.shape}."
         )
     example = _at_node(c.parameters, nodes, f"{field}.parameters") if c.per_node else c.parameters
     across = jax.ShapeDtypeStruct((u.shape[0] + 1,), float)

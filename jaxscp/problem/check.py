@@ -94,11 +94,19 @@ def rules(problem: OptimalControlProblem, guess: Trajectory, xp: Any) -> Iterato
     for _, c in problem.named_constraints():
         if c.soft is not None:
             yield Rule(
-                c.soft >= 0.0, f"{c.name}: soft, the weight, must not be negative, is{_value(xp, c.soft)}."
+                (c.soft >= 0.0) & xp.isfinite(c.soft),
+                f"{c.name}: soft, the weight, must be finite and not negative, is{_value(xp, c.soft)}. A constraint "
+                "without soft holds at any cost.",
             )
         if c.tolerance is not None:
             yield Rule(
                 c.tolerance > 0.0, f"{c.name}: tolerance must be positive, is{_value(xp, c.tolerance)}."
+            )
+        if c.active is not None and c.where.throughout:
+            yield Rule(
+                ~c.active[-1] | c.active[-2],
+                f"{c.name}: active at the last node but not at the one before, so that it holds in no interval there. "
+                "Pass where=AtNodes() for a constraint at the last node alone.",
             )
         yield from _rules_of_bounds(problem, c, xp)
 

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxscp.cones.cone import Cone
+from jaxscp.core.errors import InvalidProblem
 from jaxscp.core.types import Scalar
 
 DISTANCE_TOLERANCE = 1e-3  # m: a violation of a distance that counts as none
@@ -58,7 +59,12 @@ class AcrossIntervals(Where):
 
 def _flags(active: Any) -> Any:
     """Flags as JAX's array, from a list or a NumPy array."""
-    return jnp.asarray(active, bool) if isinstance(active, list | tuple | np.ndarray) else active
+    if not isinstance(active, list | tuple | np.ndarray):
+        return active
+    values = np.asarray(active)
+    if values.dtype != bool and not np.isin(values, (0, 1)).all():
+        raise InvalidProblem(f"active: expected flags, True or False for each node; got {active!r}.")
+    return jnp.asarray(values, bool)
 
 
 class Constraint(eqx.Module):

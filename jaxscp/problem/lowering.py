@@ -158,7 +158,7 @@ def _path_constraints(
             tolerance = DISTANCE_TOLERANCE * (1.0 if size is None else size)
         fields = {field.name: getattr(c, field.name) for field in dataclasses.fields(Constraint)}
         fields |= {"active": active, "tolerance": jnp.asarray(tolerance, float)}
-        slack = None
+        slack, by_size = None, c.tolerance is None and size is not None and c.soft is None
         if c.soft is not None:
             if c.where.across or not c.cone.inequality:
                 raise InvalidProblem(
@@ -167,5 +167,5 @@ def _path_constraints(
                 )
             slack, slacks = slacks, slacks + 1
             fields["tolerance"] = jnp.full((), jnp.inf)
-        found.append(PathConstraint(**fields, size=size, slack=slack))
+        found.append(PathConstraint(**fields, size=size, slack=slack, tolerance_by_size=by_size))
     return tuple(found)

@@ -39,6 +39,8 @@ class PathConstraint(Constraint):
     """Typical size of the values, or of each row, by which the solver divides; None is one."""
     slack: int | None = eqx.field(default=None, static=True)
     """Number of its slack, if it is soft."""
+    tolerance_by_size: bool = eqx.field(default=False, static=True)
+    """Whether the tolerance follows from the size, which the user did not state."""
 
     def in_solver_units(self, value: Float[Array, "rows"]) -> Array:
         """Values divided by their typical size."""

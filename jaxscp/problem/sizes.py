@@ -17,7 +17,9 @@ from jaxscp.problem.trajectory import Trajectory
 
 ALIKE = 30.0
 """Rows of one constraint or group whose sizes differ by less share one."""
-_ROUNDING = 1e-9  # of the largest size: a smaller one counts as none
+_ROUNDING = (
+    1e-16  # of the largest size: a smaller one counts as none; metres of an orbit stand beside its thrust
+)
 
 
 class Sizes(eqx.Module):

@@ -23,7 +23,7 @@ from jaxscp.problem.time import FreeTime
 from jaxscp.problem.trajectory import Trajectory
 
 ABOUT_ONE = 30.0  # sizes up to this, and down to its inverse, count as one
-ROUNDING = 1e-9  # of the largest size: a smaller one counts as zero
+ROUNDING = 1e-13  # of the largest size: a smaller one counts as zero
 NOISE = 1e-6  # of the size in which a solution was found: a smaller change of it counts as zero
 OVERSTATED = 3.0  # a change of the cost is the sum of the changes by all variables, as if none cancelled
 
@@ -74,7 +74,9 @@ def _sizes(
     """Of states and controls, before rounding; the number nearest to one where only bounds are known."""
     time, states = guess.time[-1], guess.state.shape[1]
     rates, slopes = _largest_rates(problem, guess)
-    known, own = jnp.split(_without_rounding(jnp.concatenate([_finite(known), time * rates])), [len(known)])
+    in_state = _without_rounding(jnp.concatenate([_finite(known[:states]), time * rates]))
+    known = jnp.concatenate([in_state[:states], _without_rounding(_finite(known[states:]))])
+    own = in_state[states:]
     others = _without_rounding(time * slopes * (1.0 - jnp.eye(states, len(known))))
     alone = (others > 0.0) & (jnp.sum(others > 0.0, axis=1, keepdims=True) == 1)
 

@@ -117,7 +117,7 @@ def _round(method: Method, sized: Sized, enabled: Flag, keep_mesh: Flag, last: _
     converged = state.status == Status.converged
     taken = (last.count == 0) | converged | (last.state.status != Status.converged)
     finite = jnp.all(jnp.isfinite(plan.state)) & jnp.all(jnp.isfinite(plan.control))
-    differs = _far_apart(problem, following.problem())
+    differs = _sizes_differ(problem, following.problem())
     now = (sized.trajectory, sized.scale)
     count = last.count + 1
     return _Round(
@@ -130,7 +130,7 @@ def _round(method: Method, sized: Sized, enabled: Flag, keep_mesh: Flag, last: _
     )
 
 
-def _far_apart(problem: ScaledTimeProblem, other: ScaledTimeProblem) -> Flag:
+def _sizes_differ(problem: ScaledTimeProblem, other: ScaledTimeProblem) -> Flag:
     """Whether a size of one is far from that of the other."""
 
     def sizes(p: ScaledTimeProblem) -> list[Array]:

@@ -11,6 +11,8 @@ from jaxscp.problem.scaled_time import PathConstraint, ScaledTimeProblem
 from jaxscp.transcription.layout import sum_onto_nodes
 from jaxscp.transcription.shooting import Linearisation, Outputs
 
+OF_DILATION = 2  # of a node's own limits; the others are of slack variables
+
 Values = tuple[Float[Array, "_ _ _"], ...]
 """(locations, points, rows) of every constraint, then (nodes, 1, limits): the ``node_limits``."""
 Jacobians = tuple[Float[Array, "_ _ _ _"], ...]
@@ -33,15 +35,20 @@ def inequalities(
     outputs: Outputs,
     relaxation: float = 0.0,
 ) -> Values:
-    """Values that lie in their cones, moved inwards by ``relaxation``; the identity where inactive."""
+    """Values that lie in their cones, moved inwards by ``relaxation``; the identity where inactive.
+
+    Slack variables and soft constraints are not moved: a slack could be negative, and earn its weight.
+    """
     parts = []
     for constraint, cone, values in zip(problem.constraints, cones(problem), outputs.values, strict=False):
         if constraint.where.nodal:
             values = _at_nodes(problem, constraint, z)
         identity = cone.identity(values.shape[-1])
         active = constraint.active_at_locations(values.shape[1])[:, :, None]
-        parts.append(jnp.where(active, values + relaxation * identity, identity))
-    return (*parts, problem.node_limits(z)[:, None] + relaxation)
+        moved = values if constraint.slack is not None else values + relaxation * identity
+        parts.append(jnp.where(active, moved, identity))
+    limits = problem.node_limits(z)[:, None]
+    return (*parts, limits + relaxation * (jnp.arange(limits.shape[-1]) < OF_DILATION))
 
 
 def jacobians(

@@ -8,7 +8,6 @@ Every row has the name and the unit that the problem gives it.
 import dataclasses
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
@@ -20,13 +19,14 @@ from jaxscp.problem.constraint import DISTANCE_TOLERANCE
 from jaxscp.problem.form import Continuous
 from jaxscp.problem.lowering import over_scaled_time
 from jaxscp.problem.problem import OptimalControlProblem
-from jaxscp.problem.scaled_time import PathConstraint, ScaledTimeProblem
+from jaxscp.problem.scaled_time import ScaledTimeProblem
 from jaxscp.problem.sizes import end_measures
 from jaxscp.problem.trajectory import Trajectory
 from jaxscp.verification.clearance import clearance
 from jaxscp.verification.report import report
 from jaxscp.verification.rollout import Rollout, rollout
 from jaxscp.verification.trajectory_check import check_trajectory
+from jaxscp.verification.violations import violations_of
 
 OPTIMALITY_TOLERANCE = 0.3  # KKT residual; converged solutions have about 0.01
 
@@ -159,7 +159,7 @@ def _certificate(
     defect = jnp.max(jnp.linalg.norm(integrated.state[:, -1] - trajectory.state[1:], axis=-1))
     ends = _end_rows(problem, trajectory, integrated)
     constraints = (*problem.constraints, *problem.checks)
-    violations = [_violations(c, trajectory, integrated) for c in constraints]
+    violations = [violations_of(c, trajectory, integrated, problem.sizes) for c in constraints]
     certificate = Certificate(
         defect=_or_infinite(defect),
         end_errors=_errors([error for *_, error, _ in ends]),
@@ -215,70 +215,3 @@ def _end_rows(
             found.append((f"{where} {rows.name}", rows.unit, error, measure.tolerance))
             before += rows.count
     return found
-
-
-def _planned_nodes(trajectory: Trajectory) -> Rollout:
-    return Rollout(trajectory.time[:, None], trajectory.state[:, None], trajectory.control[:, None])
-
-
-def _integrated_nodes(trajectory: Trajectory, integrated: Rollout) -> Rollout:
-    """The nodes of the rollout."""
-    state = jnp.concatenate([integrated.state[:, :1], integrated.state[-1:, -1:]])
-    return Rollout(trajectory.time[:, None], state, trajectory.control[:, None])
-
-
-def _worst(constraint: PathConstraint, integrated: Rollout) -> Float[Array, "conditions"]:
-    """Worst violation of each condition on a rollout; interval k has the parameters of node k."""
-    count = integrated.time.shape[0]
-
-    def violation(state, control, time, parameters):
-        return constraint.cone.violations(constraint.value(state, control, time, parameters))
-
-    over_samples = jax.vmap(violation, in_axes=(0, 0, 0, None))
-    parameters = jax.tree.map(lambda p: p[:count], constraint.node_parameters())
-    values = jax.vmap(over_samples)(integrated.state, integrated.control, integrated.time, parameters)
-    return jnp.max(jnp.where(_active(constraint, count)[..., None], values, 0.0), axis=(0, 1), initial=0.0)
-
-
-def _active(constraint: PathConstraint, count: int) -> Array:
-    """Whether the constraint holds at each of so many nodes."""
-    assert constraint.active is not None, "of a problem over scaled time"
-    return constraint.active[:count, None]
-
-
-def _worst_across(constraint: PathConstraint, trajectory: Trajectory) -> Float[Array, "conditions"]:
-    """Worst violation of each condition on the controls at both ends of every interval."""
-    intervals = trajectory.time.shape[0] - 1
-    controls = jnp.concatenate([trajectory.control, trajectory.dilation[:, None]], axis=1)
-    parameters = jax.tree.map(lambda p: p[:-1], constraint.node_parameters())
-    function = constraint.with_parameters(constraint.function)
-
-    def violation(first, last, parameters):
-        return constraint.cone.violations(function(first, last, 1.0 / intervals, parameters))
-
-    values = jax.vmap(violation)(controls[:-1], controls[1:], parameters)
-    return jnp.max(jnp.where(_active(constraint, intervals), values, 0.0), axis=0, initial=0.0)
-
-
-def _violations(
-    constraint: PathConstraint, trajectory: Trajectory, integrated: Rollout
-) -> tuple[Scalar, Scalar, Scalar]:
-    """Worst violation at the nodes, and wherever the constraint must hold; and the violation that counts as none."""
-    if constraint.where.across:
-        across = _worst_across(constraint, trajectory)
-        return _in_one_unit(across, across, constraint.tolerance)
-    at_nodes = _worst(constraint, _planned_nodes(trajectory))
-    where = _integrated_nodes(trajectory, integrated) if constraint.where.nodal else integrated
-    return _in_one_unit(at_nodes, _worst(constraint, where), constraint.tolerance)
-
-
-def _in_one_unit(
-    at_nodes: Float[Array, "conditions"],
-    between: Float[Array, "conditions"],
-    tolerance: Float[Array, "*rows"],
-) -> tuple[Scalar, Scalar, Scalar]:
-    """Largest violations. Rows with tolerances of their own are compared by these, in the unit of the worst row."""
-    if tolerance.ndim == 0:
-        return jnp.max(at_nodes), jnp.max(between), tolerance
-    allowed = tolerance[jnp.argmax(between / tolerance)]
-    return jnp.max(at_nodes * (allowed / tolerance)), jnp.max(between * (allowed / tolerance)), allowed
