@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxscp.core.types import Scalar
+from jaxscp.core.types import Flag, Scalar
 from jaxscp.problem.problem import OptimalControlProblem
 from jaxscp.problem.scale import Scale
 from jaxscp.problem.sizes import or_one
@@ -24,6 +24,7 @@ from jaxscp.problem.trajectory import Trajectory
 
 ABOUT_ONE = 30.0  # sizes up to this, and down to its inverse, count as one
 ROUNDING = 1e-13  # of the largest size: a smaller one counts as zero
+FAR = 30.0  # a factor between two sizes that matters
 NOISE = 1e-6  # of the size in which a solution was found: a smaller change of it counts as zero
 OVERSTATED = 3.0  # a change of the cost is the sum of the changes by all variables, as if none cancelled
 
@@ -38,8 +39,7 @@ def usual_scale(problem: OptimalControlProblem, guess: Trajectory, before: Scale
     """
     problem, guess, before = jax.lax.stop_gradient((problem, guess, before))
     time, states = guess.time[-1], guess.state.shape[1]
-    known = _at_guess(problem, guess) if before is None else _at_solution(problem, guess, before)
-    sizes = _sizes(problem, guess, known)
+    sizes = _at_guess(problem, guess) if before is None else _at_solution(problem, guess, before)
     cost = _change_of_cost(problem, guess, sizes)
     return Scale(
         state=_rounded(sizes[:states]),
@@ -49,23 +49,38 @@ def usual_scale(problem: OptimalControlProblem, guess: Trajectory, before: Scale
     )
 
 
+def far(sizes: Array, others: Array) -> Flag:
+    """Whether one of the sizes is far from the other one."""
+    return jnp.any((sizes > FAR * others) | (FAR * sizes < others))
+
+
 def _at_guess(problem: OptimalControlProblem, guess: Trajectory) -> Float[Array, "variables"]:
-    """Ranges over the guess, and larger distances of controls from their limits; zero where nothing is known."""
-    states = guess.state.shape[1]
+    """From ranges over the guess, and larger distances of controls from their limits."""
     known = jnp.concatenate([jnp.ptp(guess.state, axis=0), jnp.ptp(guess.control, axis=0)])
-    distance = _distance_from_limits(problem, guess)
-    return jnp.where(jnp.arange(len(known)) < states, known, jnp.maximum(known, distance))
+    return _sizes(problem, guess, jnp.maximum(known, _distances_of_controls(problem, guess)))
 
 
 def _at_solution(
     problem: OptimalControlProblem, plan: Trajectory, before: Scale
 ) -> Float[Array, "variables"]:
-    """Ranges of states and largest values of controls; distances from limits for controls that are not used."""
-    states = plan.state.shape[1]
-    used = jnp.concatenate([jnp.ptp(plan.state, axis=0), jnp.max(jnp.abs(plan.control), axis=0)])
-    used = jnp.where(used > NOISE * jnp.concatenate([before.state, before.control]), used, 0.0)
-    unused = (used == 0.0) & (jnp.arange(len(used)) >= states)
-    return jnp.where(unused, _distance_from_limits(problem, plan), used)
+    """From ranges of states, and largest values of controls; distances from limits for controls that are not used.
+
+    Wrong sizes of states may lead to no solution, which hardly uses controls that it needs: then these count as unused.
+    """
+    states, largest = plan.state.shape[1], jnp.max(jnp.abs(plan.control), axis=0)
+    ranges = jnp.ptp(plan.state, axis=0)
+    ranges = jnp.where(ranges > NOISE * before.state, ranges, 0.0)
+    used = jnp.where(largest > NOISE * before.control, largest, 0.0)
+    distances = _distances_of_controls(problem, plan)
+    unused = _sizes(problem, plan, jnp.concatenate([ranges, distances[states:]]))
+    used = jnp.where(used > 0.0, used, distances[states:])
+    wrong = far(_rounded(unused[:states]), before.state)
+    return jnp.where(wrong, unused, _sizes(problem, plan, jnp.concatenate([ranges, used])))
+
+
+def _distances_of_controls(problem: OptimalControlProblem, guess: Trajectory) -> Float[Array, "variables"]:
+    """Largest distances of controls from their limits; zero for states, and for controls without limits."""
+    return _distance_from_limits(problem, guess).at[: guess.state.shape[1]].set(0.0)
 
 
 def _sizes(
@@ -92,8 +107,7 @@ def _sizes(
 
     none = jnp.where(known > 0.0, known, 0.0), jnp.where(known > 0.0, known, jnp.inf)
     least, most = jax.lax.fori_loop(0, len(known), narrow, none)
-    between = jnp.clip(1.0, least, most)
-    return jnp.where(least > most, jnp.sqrt(least * most), between)
+    return jnp.where(least > most, jnp.sqrt(least * most), jnp.clip(1.0, least, most))
 
 
 def _distance_from_limits(problem: OptimalControlProblem, guess: Trajectory) -> Float[Array, "variables"]:

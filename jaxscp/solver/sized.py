@@ -22,14 +22,13 @@ from jaxscp.problem.problem import OptimalControlProblem
 from jaxscp.problem.scale import Scale
 from jaxscp.problem.scaled_time import ScaledTimeProblem
 from jaxscp.problem.trajectory import Trajectory
-from jaxscp.problem.usual_scale import usual_scale
+from jaxscp.problem.usual_scale import far, usual_scale
 from jaxscp.scp import mesh
 from jaxscp.scp.method import Method, MethodResult
 from jaxscp.scp.restart import restarted
 from jaxscp.transcription.layout import trajectory_of
 
-ROUNDS = 4  # each brings wrong sizes nearer by up to six decades; the last ones are for the cost
-FAR = 30.0  # a factor between two sizes that matters: the barrier's error of the cost is then a few hundred-thousandths
+ROUNDS = 6  # first the states' sizes become right, then the controls', then the cost's
 
 
 class Sized(eqx.Module):
@@ -71,6 +70,8 @@ class _Round(eqx.Module):
     following: tuple[Trajectory, Scale]
     """Sizes to go on in."""
     count: Count
+    failed: Flag
+    """Whether the last attempt found nothing, after one that had."""
     unfinished: Flag
 
 
@@ -97,7 +98,7 @@ def _rounds(method: Method, sized: Sized, enabled: Flag, keep_mesh: Flag) -> _Ro
     first, no = (sized.trajectory, sized.scale), jnp.zeros((), bool)
     ends = jax.eval_shape(lambda: _attempt(method, sized, enabled, keep_mesh))
     state, most = jax.tree.map(lambda v: jnp.zeros(v.shape, v.dtype), ends)
-    start = _Round(state, most, first, first, jnp.zeros((), int), ~no)
+    start = _Round(state, most, first, first, jnp.zeros((), int), no, ~no)
     fixed = (sized, enabled, keep_mesh)
     return batching.while_loop(lambda s: s.unfinished, step, fixed, start, batching.CHUNK_AROUND_LOOPS)
 
@@ -126,7 +127,9 @@ def _round(method: Method, sized: Sized, enabled: Flag, keep_mesh: Flag, last: _
         sized=tree_where(taken, now, last.sized),
         following=(following.trajectory, following.scale),
         count=count,
-        unfinished=enabled & taken & finite & differs & (count < ROUNDS),
+        failed=~taken,
+        # a solution in wrong sizes may be a bad guess, from which the right ones lead only half the way
+        unfinished=enabled & finite & (count < ROUNDS) & jnp.where(taken, differs, ~last.failed),
     )
 
 
@@ -136,6 +139,5 @@ def _sizes_differ(problem: ScaledTimeProblem, other: ScaledTimeProblem) -> Flag:
     def sizes(p: ScaledTimeProblem) -> list[Array]:
         return jax.tree.leaves((p.sizes, [c.size for c in (*p.constraints, *p.checks)]))
 
-    ratios = [a / b for a, b in zip(sizes(problem), sizes(other), strict=True)]
-    far = [jnp.any((ratio > FAR) | (ratio * FAR < 1.0)) for ratio in ratios]
-    return jnp.any(jnp.stack(far))
+    pairs = zip(sizes(problem), sizes(other), strict=True)
+    return jnp.any(jnp.stack([far(now, then) for now, then in pairs]))

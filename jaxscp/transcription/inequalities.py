@@ -48,7 +48,8 @@ def inequalities(
         moved = values if constraint.slack is not None else values + relaxation * identity
         parts.append(jnp.where(active, moved, identity))
     limits = problem.node_limits(z)[:, None]
-    return (*parts, limits + relaxation * (jnp.arange(limits.shape[-1]) < OF_DILATION))
+    of_dilation = jnp.arange(limits.shape[-1]) < OF_DILATION
+    return (*parts, limits + jnp.where(of_dilation, relaxation, 0.0))
 
 
 def jacobians(
