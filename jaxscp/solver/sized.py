@@ -44,7 +44,8 @@ class Sized(eqx.Module):
     def on(cls, stated: OptimalControlProblem, guess: Trajectory, form: Form) -> "Sized":
         """Sizes at a guess."""
         scale = usual_scale(stated, guess) if stated.scale is None else stated.scale
-        return cls(stated, guess, scale, form)
+        fields = guess.time, guess.state, guess.control, guess.dilation
+        return cls(stated, Trajectory(*fields, stated.zero_order_hold), scale, form)
 
     def at(self, plan: Trajectory) -> "Sized":
         """Sizes at a better trajectory."""
