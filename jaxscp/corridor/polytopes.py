@@ -204,8 +204,9 @@ def _found_joints(normals: Any, offsets: Any, margin: float) -> Any:
         k = int(np.argmax(np.asarray(balls.radius) <= 0))
         gap = -2 * float(balls.radius[k])
         found = f"they are {gap:.3g} m apart" if gap > _TOUCHING else "they only touch"
+        least = f" An overlap must exceed twice the margin, {2 * margin:.3g} m." if margin > 0 else ""
         raise ValueError(
             f"connect: polytopes {k} and {k + 1} do not overlap{after}, so that there is no joint {k}: {found}; are "
-            "they in flight order?"
+            f"they in flight order?{least}"
         )
     return balls.centre

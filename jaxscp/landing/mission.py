@@ -168,6 +168,8 @@ class Ellipsoids(eqx.Module):
 def ellipsoids(centres, semi_axes) -> Ellipsoids:
     """Ellipsoids with axes along the world's; balls if each has one semi-axis.
 
+    As a zone or a gate, an ellipsoid bounds the vehicle's centre. For an obstacle, add the radius to its semi-axes.
+
     Args:
         centres: (count, 3) in m.
         semi_axes: (count, 3) or, for balls, (count,) or one number; in m.
@@ -229,7 +231,7 @@ class Mission(eqx.Module):
     limits: FlightLimits = eqx.field(default=FlightLimits(), converter=_limits)
     """None: no limits."""
     keep_out: Ellipsoids | None = None
-    """Zones to stay out of."""
+    """Zones that the centre stays out of: add the vehicle's radius."""
     gates: Ellipsoids | None = None
     """Zones to pass through, in this order, each at a time of the planner's choice: way-points and gates."""
     deck_velocity: Vector3 | None = eqx.field(default=None, converter=as_floats)

@@ -47,7 +47,7 @@ class LandingScenario(Mission):
         dilation_max: (), s: greatest dt/dtau, and so the greatest flight time.
         obstacles: (points, 3), m, for pictures alone; default None.
         limits: ``FlightLimits``: speed m/s, tilt rad, body rate rad/s, thrust rate N/s; default None, no limits.
-        keep_out: ``Ellipsoids`` to stay out of, at rest; default None.
+        keep_out: ``Ellipsoids`` that the centre stays out of, at rest; default None.
         gates: ``Ellipsoids`` to pass, in this order, at rest; default None.
         deck_velocity: (3,), m/s, world. Goal and landing cone move with it: at time t the goal is at ``goal.position +
             deck_velocity t``. The attitude stays: a deck does not turn. Default None, a deck at rest.

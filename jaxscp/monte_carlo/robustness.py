@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 ALLOWED = {"error_final_position": 0.2, "violation": 0.1}  # m
+POINTS = 300  # of the plan in the picture
 SAMPLES = 8
 SIZE = 50
 
@@ -98,10 +99,10 @@ def robustness(
         InvalidStudy: if a parameter is no float of the scenario.
     """
     limits = ALLOWED if allowed is None else dict(allowed)
-    plan = solution.trajectory.with_dynamics(None)
+    plan = solution.trajectory
     parameters = [parameter.resolved(scenario) for parameter in parameters]
     study = Study(
-        OpenLoop(plan, solution.context, tuple(limits.items())),
+        OpenLoop(plan.with_dynamics(None), solution.context, tuple(limits.items())),
         scenario,
         parameters,
         Independent(count, seed),
@@ -117,6 +118,7 @@ def draw_robustness(found: Robustness) -> "Figure":
 
     success = found.sweep.values(SUCCESS).astype(bool)
     states = np.asarray(found.sweep.store.arrays["trajectory.state"][:])[found.sweep.numbers]
+    path = _path(found.plan)
     figure = Figure(figsize=(5.0, 5.5), dpi=DPI, layout="constrained")
     for ax, up, name in zip(figure.subplots(2, 1, sharex=True), (1, 2), "yz", strict=True):
         for flag, colour, label in ((False, VERMILLION, "not"), (True, GREY, "within limits")):
@@ -124,7 +126,8 @@ def draw_robustness(found: Robustness) -> "Figure":
             for i, state in enumerate(chosen):
                 text = f"{len(chosen)} {label}" if i == 0 else None
                 ax.plot(state[:, 0], state[:, up], color=colour, linewidth=0.5, alpha=0.4, label=text)
-        ax.plot(found.plan.state[:, 0], found.plan.state[:, up], ".-", color=BLUE, markersize=3, label="plan")
+        ax.plot(path[:, 0], path[:, up], color=BLUE, label="plan")
+        ax.plot(found.plan.state[:, 0], found.plan.state[:, up], ".", color=BLUE, markersize=3)
         ax.set_ylabel(f"{name} [m]")
         ax.spines[["top", "right"]].set_visible(False)
     ax.set_xlabel("x [m]")
@@ -134,3 +137,10 @@ def draw_robustness(found: Robustness) -> "Figure":
     title = f"open loop: {percent[0]} % within limits ({percent[1]} to {percent[2]} %)"
     figure.legend(handles, labels, title=title, loc="outside upper center", ncols=3, **LEGEND)
     return figure
+
+
+def _path(plan: Trajectory) -> np.ndarray:
+    """States along the plan's integrated path; its nodes where its dynamics are not known, as after loading."""
+    if plan.dynamics is None:
+        return np.asarray(plan.state)
+    return np.asarray(plan.at(np.linspace(0.0, float(plan.time[-1]), POINTS)).state)
