@@ -28,7 +28,7 @@ def known_by_values(function: Callable[..., Any]) -> Hashable | None:
         (True, True)
     """
     try:
-        return _function(function, [])
+        return _Itself(function) if _of_libraries(function) else _function(function, [])
     except NotSeen:
         return None
 

@@ -97,7 +97,7 @@ def identify(function: Callable[..., Any], *arguments: Any) -> tuple[Program, tu
     whole = (values, tree, tuple((v.shape, str(v.dtype)) for v in leaves))
     if values is not None and whole in _by_values:
         return _by_values[whole], ()
-    closed, out = jax.make_jaxpr(_returning_floats(function), return_shape=True)(*shapes)
+    closed, out = traced(function, *shapes)
     captured = tuple(i for i, c in enumerate(closed.consts) if isinstance(c, Tracer))
     program = Program(closed, captured, out.shape, "")
     tracers = tuple(closed.consts[i] for i in captured)
@@ -109,6 +109,11 @@ def identify(function: Callable[..., Any], *arguments: Any) -> tuple[Program, tu
         _remember(_by_values, whole, program)
     _warn_of_versions(function, program)
     return program, ()
+
+
+def traced(function: Callable[..., Any], *shapes: Any) -> Any:
+    """A function's jaxpr and the shape of its value, in floats."""
+    return jax.make_jaxpr(_returning_floats(function), return_shape=True)(*shapes)
 
 
 def reads(function: Callable[..., Any], argument: int, *arguments: Any) -> bool:

@@ -95,7 +95,7 @@ def rules(problem: OptimalControlProblem, guess: Trajectory, xp: Any) -> Iterato
         if c.soft is not None:
             yield Rule(
                 (c.soft >= 0.0) & xp.isfinite(c.soft),
-                f"{c.name}: soft, the weight, must be finite and not negative, is{_value(xp, c.soft)}. A constraint "
+                f"{c.name}: soft, the weight, must not be negative or infinite, is{_value(xp, c.soft)}. A constraint "
                 "without soft holds at any cost.",
             )
         if c.tolerance is not None:

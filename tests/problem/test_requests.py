@@ -64,7 +64,7 @@ WRONG = {
     "active of another length": (
         lambda: constrained(lambda x, u, t, p: x, active=np.ones(3, bool), name="box"),
         GUESS,
-        r"constraints\[0\] \(box\)\.active: expected shape \(5,\)",
+        r"constraints\[0\] \(box\)\.active: expected flags of shape \(5,\)",
     ),
     "an end of too many components": (
         lambda: problem(boundary=js.Boundary(REST, js.fixed_state([0.0, 0.0, 0.0]))),
@@ -348,7 +348,7 @@ WRONG = {
     "a negative weight": (
         lambda: constrained(lambda x, u, t, p: x, soft=-1.0, convex=True, name="speed"),
         GUESS,
-        r"speed: soft, the weight, must not be negative, is -1",
+        r"speed: soft, the weight, must not be negative or infinite, is -1",
     ),
     "a control that does not exist": (
         lambda: problem(zero_order_hold=(1,)),

@@ -179,7 +179,7 @@ def test_a_slack_earns_nothing(weight):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"soft": jnp.inf}, "soft, the weight, must be finite"),
+        ({"soft": jnp.inf}, "soft, the weight, must not be negative or infinite"),
         ({"active": [False] * (NODES - 1) + [True]}, r"Pass where=AtNodes\(\)"),
         ({"active": jnp.ones(NODES)}, "expected flags of shape"),
     ],

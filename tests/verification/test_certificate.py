@@ -9,7 +9,8 @@ import pytest
 import jaxscp as js
 from jaxscp import Planner, scenarios
 from jaxscp.transcription.layout import trajectory_of
-from jaxscp.verification.certificate import _in_one_unit, certify
+from jaxscp.verification.certificate import certify
+from jaxscp.verification.violations import _in_one_unit
 
 TUMBLING = 1e6  # N of one rotor: far more turns an interval than steps of the integration
 
