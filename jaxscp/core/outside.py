@@ -8,7 +8,7 @@ import jax
 import numpy as np
 from jax.core import Tracer
 
-LIBRARIES = {"builtins", "math", "jax", "jaxlib", "numpy", "equinox", __name__.partition(".")[0]}
+LIBRARIES = {"builtins", "math", "jax", "jaxlib", "jaxtyping", "numpy", "equinox", __name__.partition(".")[0]}
 """Their functions are the same at every call."""
 
 
@@ -90,7 +90,10 @@ def _of_libraries(value: Any) -> bool:
     owner = getattr(value, "__self__", None)
     if not hasattr(value, "__qualname__") or not (owner is None or isinstance(owner, types.ModuleType)):
         return False
-    return (getattr(value, "__module__", None) or "").partition(".")[0] in LIBRARIES
+    named = getattr(value, "__module__", None) or ""
+    # a user's wrapper may bear a library's name
+    written = getattr(value, "__globals__", {}).get("__name__", named)
+    return all(name.partition(".")[0] in LIBRARIES for name in (named, written))
 
 
 def _filled(cell: types.CellType) -> bool:

@@ -79,6 +79,7 @@ READERS = {
     "attribute": lambda x, p: STORE.gain * x,
     "module": lambda x, p: MODULE.gain * x,
     "wrapper": _wrapped(lambda x, p: x),
+    "wrapper of a library's": functools.wraps(jnp.sin)(lambda x, p: GAIN * jnp.sin(x)),
     "partial": functools.partial(lambda gain, x, p: GAIN * gain * x, 1.0),
     "module's call": OfClass(),
     "derivative rule": lambda x, p: _with_rule(x),
