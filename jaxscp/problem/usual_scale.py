@@ -13,7 +13,7 @@ At a solution, the largest value of a control is known, and its limits do not co
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxscp.core.types import Flag, Scalar
 from jaxscp.problem.problem import OptimalControlProblem
@@ -39,8 +39,12 @@ def usual_scale(problem: OptimalControlProblem, guess: Trajectory, before: Scale
     """
     problem, guess, before = jax.lax.stop_gradient((problem, guess, before))
     time, states = guess.time[-1], guess.state.shape[1]
-    sizes = _at_guess(problem, guess) if before is None else _at_solution(problem, guess, before)
-    cost = _change_of_cost(problem, guess, sizes)
+    if before is None:
+        sizes, cost = _at_guess(problem, guess), jnp.zeros(())
+    else:
+        sizes, used = _at_solution(problem, guess, before)
+        cost = _change_of_cost(problem, guess, jnp.where(used, sizes, 0.0))
+    cost = jnp.where(cost > 0.0, cost, or_one(_change_of_cost(problem, guess, sizes)))
     return Scale(
         state=_rounded(sizes[:states]),
         control=_rounded(sizes[states:]),
@@ -62,20 +66,23 @@ def _at_guess(problem: OptimalControlProblem, guess: Trajectory) -> Float[Array,
 
 def _at_solution(
     problem: OptimalControlProblem, plan: Trajectory, before: Scale
-) -> Float[Array, "variables"]:
-    """From ranges of states, and largest values of controls; distances from limits for controls that are not used.
+) -> tuple[Float[Array, "variables"], Bool[Array, "variables"]]:
+    """From ranges of states and largest values of controls; and whether the solution uses each variable.
 
     Wrong sizes of states may lead to no solution, which hardly uses controls that it needs: then these count as unused.
+    An unused control has its distance from its limits; if these are so far that they stand for none, what it needs.
     """
-    states, largest = plan.state.shape[1], jnp.max(jnp.abs(plan.control), axis=0)
-    ranges = jnp.ptp(plan.state, axis=0)
-    ranges = jnp.where(ranges > NOISE * before.state, ranges, 0.0)
-    used = jnp.where(largest > NOISE * before.control, largest, 0.0)
+    states, sizes_before = plan.state.shape[1], jnp.concatenate([before.state, before.control])
+    known = jnp.concatenate([jnp.ptp(plan.state, axis=0), jnp.max(jnp.abs(plan.control), axis=0)])
+    known = jnp.where(known > NOISE * sizes_before, known, 0.0)
+    needed = _needed(known[:states], _influence(problem, plan, known)[1])
     distances = _distances_of_controls(problem, plan)
-    unused = _sizes(problem, plan, jnp.concatenate([ranges, distances[states:]]))
-    used = jnp.where(used > 0.0, used, distances[states:])
+    none = (distances == 0.0) | (NOISE * distances > needed)
+    distances = jnp.where((needed > 0.0) & none, needed, distances)
+    unused = _sizes(problem, plan, jnp.concatenate([known[:states], distances[states:]]))
     wrong = far(_rounded(unused[:states]), before.state)
-    return jnp.where(wrong, unused, _sizes(problem, plan, jnp.concatenate([ranges, used])))
+    sizes = _sizes(problem, plan, jnp.where(known > 0.0, known, distances))
+    return jnp.where(wrong, unused, sizes), known > 0.0
 
 
 def _distances_of_controls(problem: OptimalControlProblem, guess: Trajectory) -> Float[Array, "variables"]:
@@ -87,13 +94,9 @@ def _sizes(
     problem: OptimalControlProblem, guess: Trajectory, known: Float[Array, "variables"]
 ) -> Float[Array, "variables"]:
     """Of states and controls, before rounding; the number nearest to one where only bounds are known."""
-    time, states = guess.time[-1], guess.state.shape[1]
-    rates, slopes = _largest_rates(problem, guess)
-    in_state = _without_rounding(jnp.concatenate([_finite(known[:states]), time * rates]))
-    known = jnp.concatenate([in_state[:states], _without_rounding(_finite(known[states:]))])
-    own = in_state[states:]
-    others = _without_rounding(time * slopes * (1.0 - jnp.eye(states, len(known))))
-    alone = (others > 0.0) & (jnp.sum(others > 0.0, axis=1, keepdims=True) == 1)
+    states = guess.state.shape[1]
+    own, others = _influence(problem, guess, known)
+    known = jnp.concatenate([_without_rounding(_finite(part)) for part in (known[:states], known[states:])])
 
     def narrow(_, bounds: tuple[Array, Array]):
         least, most = bounds
@@ -101,13 +104,32 @@ def _sizes(
         # estimated once: cycles of states would raise it for ever
         first = jnp.isinf(most[:states]) & (reach > 0.0)
         most = most.at[:states].set(jnp.where(first, reach, most[:states]))
-        needed = jnp.where(alone, least[:states, None] / jnp.where(alone, others, 1.0), 0.0)
-        least = jnp.maximum(least, jnp.max(needed, axis=0, initial=0.0))
+        least = jnp.maximum(least, _needed(least[:states], others))
         return jnp.where(known > 0.0, known, least), most
 
     none = jnp.where(known > 0.0, known, 0.0), jnp.where(known > 0.0, known, jnp.inf)
     least, most = jax.lax.fori_loop(0, len(known), narrow, none)
     return jnp.where(least > most, jnp.sqrt(least * most), jnp.clip(1.0, least, most))
+
+
+def _influence(
+    problem: OptimalControlProblem, guess: Trajectory, known: Float[Array, "variables"]
+) -> tuple[Float[Array, "states"], Float[Array, "states variables"]]:
+    """Change of each state in the whole time: by its own rate, and by one unit of each other variable."""
+    time, states = guess.time[-1], guess.state.shape[1]
+    rates, slopes = _largest_rates(problem, guess)
+    own = _without_rounding(jnp.concatenate([_finite(known[:states]), time * rates]))[states:]
+    return own, _without_rounding(time * slopes * (1.0 - jnp.eye(states, len(known))))
+
+
+def _needed(
+    changes: Float[Array, "states"], others: Float[Array, "states variables"]
+) -> Float[Array, "variables"]:
+    """Least size of each variable that alone moves a state, for the states to change by so much."""
+    alone = (others > 0.0) & (jnp.sum(others > 0.0, axis=1, keepdims=True) == 1)
+    return jnp.max(
+        jnp.where(alone, changes[:, None] / jnp.where(alone, others, 1.0), 0.0), axis=0, initial=0.0
+    )
 
 
 def _distance_from_limits(problem: OptimalControlProblem, guess: Trajectory) -> Float[Array, "variables"]:
@@ -141,7 +163,7 @@ def _largest_rates(
 def _change_of_cost(
     problem: OptimalControlProblem, guess: Trajectory, sizes: Float[Array, "variables"]
 ) -> Scalar:
-    """Change of a guess's cost, if each variable and the time change by their own sizes; one if nothing changes it."""
+    """Change of a guess's cost, if each variable and the time change by their own sizes."""
     cost, states = problem.cost, guess.state.shape[1]
     parameters = cost.node_parameters()
     steps = jnp.concatenate([jnp.diag(sizes), -jnp.diag(sizes)])
@@ -156,7 +178,7 @@ def _change_of_cost(
     change = time * jnp.mean(changes)
     if isinstance(problem.time.final, FreeTime):
         change += time * _finite(jnp.abs(jnp.mean(rates)))
-    return or_one(change + _change_at_the_end(problem, guess, steps[:, :states]))
+    return change + _change_at_the_end(problem, guess, steps[:, :states])
 
 
 def _change_at_the_end(

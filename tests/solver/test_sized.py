@@ -98,6 +98,27 @@ def test_a_slow_flight_costs_what_it_must():
     np.testing.assert_allclose(solution.cost, OPTIMUM / time**3, rtol=1e-4)
 
 
+def _slow(x, u, t, limit):
+    return jnp.stack([limit**2 - x[2:] @ x[2:]])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("limit", [0.2, 1e-2, 1e-4])
+def test_a_direction_that_is_not_used_has_no_say_in_the_cost(limit):
+    """A control of size one there would let the barrier be far larger than the cost."""
+    time = 1.5 / limit
+    problem = js.OptimalControlProblem(
+        dynamics=js.DoubleIntegrator(2),
+        cost=js.Cost(running=_effort),
+        boundary=js.Boundary(js.fixed_state([0.0] * 4), js.fixed_state([1.0, 0.0, 0.0, 0.0])),
+        time=js.Time(NODES, js.FixedTime(time)),
+        constraints=(js.Constraint(_slow, js.NonNegative(), limit, convex=True),),
+    )
+    solution = js.solve(problem, js.straight_line(problem))
+    assert js.status_names(solution.status) == "converged"
+    np.testing.assert_allclose(solution.cost, OPTIMUM / time**3, rtol=1e-5)
+
+
 def _fastest(way, limit, guess):
     time = js.Time(NODES, js.FreeTime(1e-3 * guess, 1e3 * guess))
     problem = _problem((limit,), way, time, js.Cost(terminal=_final_time))
