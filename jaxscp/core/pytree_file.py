@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxscp.core.arrays import PRECISION, double_precision
-from jaxscp.core.numpy_files import DAMAGED, HEADER, why_unreadable
+from jaxscp.core.numpy_files import DAMAGED, HEADER, replacing, why_unreadable
 from jaxscp.core.status import Status, status_codes, status_names
 
 FORMAT = 1
@@ -36,7 +36,7 @@ def write(file: str | os.PathLike, parts: Mapping[str, Any]) -> None:
     arrays: dict[str, np.ndarray] = {}
     contents = {name: _described(part, name, arrays) for name, part in parts.items()}
     header = json.dumps({"format": FORMAT, "parts": contents})
-    with open(file, "wb") as stream:
+    with replacing(file) as stream:
         np.savez(stream, allow_pickle=False, **{HEADER: np.array(header)}, **arrays)
 
 

@@ -171,7 +171,20 @@ class _Mark:
 
 def places_of(base: Any, parameters: Sequence[Parameter]) -> tuple[int, ...]:
     """Numbers of the parameters' leaves among the leaves of the base."""
-    numbers = {name: i for i, (name, _) in enumerate(dotted_leaves(base))}
+    leaves, drawn = dict(dotted_leaves(base)), set()
+    for parameter in parameters:
+        shape = np.shape(leaves[str(parameter.where)])
+        chosen = np.arange(np.prod(shape, dtype=int)).reshape(shape)[
+            () if parameter.index is None else parameter.index
+        ]
+        entries = {(parameter.where, int(entry)) for entry in np.ravel(chosen)}
+        if parameter.change == Set() and entries & drawn:
+            raise InvalidStudy(
+                f"parameter {parameter.name!r}: sets an entry of {parameter.where} that an earlier parameter changes, "
+                "which would have no effect. Give it change=Add() or Scale(), or another entry by index=."
+            )
+        drawn |= entries
+    numbers = {name: i for i, name in enumerate(leaves)}
     return tuple(numbers[str(parameter.where)] for parameter in parameters)
 
 

@@ -111,6 +111,10 @@ def sobol_indices(sweep: Sweep, result: str) -> dict[str, list[Effect]]:
     sampling = None if sweep.study is None else sweep.study.sampling
     if not isinstance(sampling, Saltelli) or sweep.complete != sampling.count:
         raise InvalidStudy("sobol_indices: needs a complete sweep with its study, of Saltelli sampling.")
+    if sweep.study is not None and sweep.study.correlations:
+        raise InvalidStudy(
+            "sobol_indices: parameters that are correlated share their effects; it needs none."
+        )
     values = sweep.values(result).astype(float)
     if not np.all(np.isfinite(values)):
         raise InvalidStudy(

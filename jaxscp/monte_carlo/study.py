@@ -63,6 +63,9 @@ class Study:
             raise InvalidStudy(f"run: expected a planner or a function, got {self.run!r}.")
         if not isinstance(self.sampling, Sampling):
             raise InvalidStudy(f"sampling: expected Independent(count, seed), say, got {self.sampling!r}.")
+        listed = isinstance(self.parameters, list | tuple)
+        if not listed or not all(isinstance(parameter, Parameter) for parameter in self.parameters):
+            raise InvalidStudy(f"parameters: expected a list of Parameter(...), got {self.parameters!r}.")
         parameters = tuple(parameter.resolved(self.base) for parameter in self.parameters)
         object.__setattr__(self, "parameters", parameters)
         object.__setattr__(self, "_places", places_of(self.base, parameters))

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from jaxscp.core.numpy_files import DAMAGED, HEADER, why_unreadable
+from jaxscp.core.numpy_files import DAMAGED, HEADER, replacing, why_unreadable
 
 FIELDS = "time", "state", "control", "dilation"
 HOLD = "zero_order_hold"
@@ -14,7 +14,7 @@ HOLD = "zero_order_hold"
 def write(file: str | os.PathLike, arrays: Mapping[str, np.ndarray], hold: tuple[int, ...]) -> None:
     """Write the fields, and the numbers of the controls that are held."""
     held = {HOLD: np.array(hold)} if hold else {}
-    with open(file, "wb") as stream:
+    with replacing(file) as stream:
         np.savez(stream, allow_pickle=False, **arrays, **held)
 
 

@@ -5,6 +5,8 @@ from jaxtyping import Array, Float, Int
 
 from jaxscp.core.types import Nodes, Scalar
 
+LATE = 1e-12  # of scaled time: a place that rounding puts just before a node is at it
+
 
 def typical_sizes(z: Float[Array, "nodes variables"]) -> Float[Array, "variables"]:
     """The largest that each of a node's variables becomes, at least one.
@@ -41,6 +43,20 @@ def interval_at(times: Nodes, dilation: Nodes, time: Scalar) -> tuple[Int[Array,
     elapsed = (time - times[i]) * intervals
     root = jnp.sqrt(jnp.maximum(s0**2 + 2.0 * (s1 - s0) * elapsed, 0.0))
     return i, 2.0 * elapsed / (s0 + root)
+
+
+def held_at(places: Float[Array, "places"], values: Nodes) -> Float[Array, "places"]:
+    """Values that are constant after their node, at places in scaled time.
+
+    Example:
+        >>> import jax.numpy as jnp
+        >>> from jaxscp.problem.node_values import held_at
+        >>> held_at(jnp.array([0.0, 0.4, 0.5, 0.9]), jnp.array([1.0, 3.0, 5.0])).tolist()
+        [1.0, 1.0, 3.0, 3.0]
+    """
+    own = jnp.linspace(0.0, 1.0, values.shape[0])
+    node = jnp.searchsorted(own, places + LATE, side="right") - 1
+    return jnp.where(jnp.isnan(places), jnp.nan, values[jnp.clip(node, 0, values.shape[0] - 1)])
 
 
 def integrate_nodes(rate: Nodes) -> Nodes:

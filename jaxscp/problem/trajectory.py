@@ -16,7 +16,7 @@ from jaxscp.core.errors import InvalidProblem
 from jaxscp.core.types import Controls, Nodes, Scalar, States
 from jaxscp.dynamics.base import Dynamics
 from jaxscp.problem import node_files
-from jaxscp.problem.node_values import interval_at, node_times
+from jaxscp.problem.node_values import held_at, interval_at, node_times
 from jaxscp.problem.samples import STEPS, Pieces, Samples, check_inside, sample_times, samples_at
 
 LEAST_PART = 0.1  # of scaled time
@@ -195,7 +195,8 @@ class Trajectory(eqx.Module):
     def remainder(self, first: Scalar | float) -> Trajectory:
         """The part from a fraction of scaled time on, on as many nodes.
 
-        Controls and dilation are exact at the new nodes; states are linear between the old ones.
+        Controls and dilation are exact at the new nodes; states are linear between the old ones. A control that is held
+        switches at the next new node.
 
         Raises:
             ValueError: if ``first`` is not in [0, 1); inside ``jit``, the values are then NaN.
@@ -220,13 +221,13 @@ class Trajectory(eqx.Module):
         return self.remainder(jnp.minimum(self.scaled_time(time), 1.0 - LEAST_PART))
 
     def _at_scaled(self, places: Nodes, width: Scalar | float) -> Trajectory:
-        """Nodes at scaled times that span a width, each value linear between the own nodes; without dynamics."""
+        """Nodes at scaled times that span a width, with the values there; without dynamics."""
         own = jnp.linspace(0.0, 1.0, self.nodes)
         columns = jax.vmap(lambda v: jnp.interp(places, own, v), in_axes=1, out_axes=1)
-        dilation = width * jnp.interp(places, own, self.dilation)
-        return Trajectory(
-            node_times(dilation), columns(self.state), columns(self.control), dilation, self.zero_order_hold
-        )
+        dilation, control = width * jnp.interp(places, own, self.dilation), columns(self.control)
+        for i in self.zero_order_hold:
+            control = control.at[:, i].set(held_at(places, self.control[:, i]))
+        return Trajectory(node_times(dilation), columns(self.state), control, dilation, self.zero_order_hold)
 
     @staticmethod
     def from_arrays(times: Any, states: Any, controls: Any) -> Trajectory:

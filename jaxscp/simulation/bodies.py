@@ -7,6 +7,8 @@ from jaxscp.dynamics.airframes import Airframe
 from jaxscp.simulation.scene import Scene
 from jaxscp.simulation.vehicles import FEET_DEPTH
 
+GRAVITY = 0.0, 0.0, -9.81
+"""Of the world, m/s^2."""
 TIME_STEP = 0.0025
 """s: two steps a sample of the inertial unit, four a sample of odometry."""
 DECK_HEIGHT = 0.16
@@ -36,7 +38,7 @@ def mjcf(vehicle: Airframe, carrier: Airframe, scene: Scene | None = None) -> st
         f'<pair geom1="foot{i}" geom2="deck" condim="4" friction="1 1 0.01 0.001 0.001"/>' for i in feet
     )
     return f"""<mujoco model="flight">
-  <option timestep="{TIME_STEP}" gravity="0 0 -9.81" density="0" viscosity="0" iterations="8" ls_iterations="8">
+  <option timestep="{TIME_STEP}" gravity="{_text(GRAVITY)}" density="0" viscosity="0" iterations="8" ls_iterations="8">
     <flag eulerdamp="disable"/>
   </option>
   <visual><global offwidth="640" offheight="480"/><quality shadowsize="0"/></visual>

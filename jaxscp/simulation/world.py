@@ -2,10 +2,13 @@
 
 import contextlib
 import io
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float, PRNGKeyArray
 
 with contextlib.redirect_stdout(io.StringIO()):  # it prints that it misses a package, which it can do without
@@ -82,8 +85,15 @@ class World(eqx.Module):
             wind: mean wind, m/s.
             start: where the carrier begins, m.
             velocity: of the carrier, m/s.
+
+        Raises:
+            ValueError: if a known vector is not three finite numbers, the vehicle's gravity is not the world's, or its
+                inertia matrix is not diagonal.
         """
         airframe, carrier = airframe or simulated_mav(), paper_carrier()
+        for name, vector in (("wind", wind), ("start", start), ("velocity", velocity)):
+            _check_vector(name, vector)
+        _check_body(airframe)
         return World(
             mjx.put_model(bodies.model(airframe, carrier)),
             airframe,
@@ -181,3 +191,29 @@ def open_loop(world: World, state: WorldState, commands: Float[Array, "steps rot
         return new, (vehicle_state(new), carrier_state(new))
 
     return jax.lax.scan(step, state, (commands, jax.random.split(key, commands.shape[0])))
+
+
+def _check_vector(name: str, vector: Any) -> None:
+    if isinstance(vector, Tracer):
+        return
+    parts = vector if isinstance(vector, list | tuple) else [vector]
+    if any(isinstance(part, Tracer) for part in parts):
+        return
+    values = np.asarray(vector)
+    if values.shape != (3,) or values.dtype.kind not in "fiu" or not np.all(np.isfinite(values)):
+        raise ValueError(f"{name}: expected three finite numbers, got {vector!r}.")
+
+
+def _check_body(airframe: Airframe) -> None:
+    """What MuJoCo's model of the vehicle cannot hold."""
+    body = airframe.body
+    if not isinstance(body.gravity, Tracer) and not np.allclose(body.gravity, bodies.GRAVITY, atol=1e-6):
+        raise ValueError(
+            f"airframe.body.gravity: the world has {bodies.GRAVITY} m/s^2, but the vehicle {np.asarray(body.gravity)}."
+        )
+    if not isinstance(body.inertia, Tracer):
+        inertia = np.asarray(body.inertia)
+        if np.any(np.abs(inertia - np.diag(np.diag(inertia))) > 1e-9 * np.max(np.abs(inertia))):
+            raise ValueError(
+                "airframe.body.inertia: the world takes a diagonal matrix; turn the body's axes."
+            )

@@ -1,5 +1,7 @@
 """Intervals have the coverage that they state; stop rules look as they say; sensitivities agree with closed forms."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 import scipy.stats
@@ -90,6 +92,12 @@ def study(sampling):
     limits = mc.Uniform(-np.pi, np.pi)
     parameters = tuple(mc.Parameter(name, limits) for name in "abc")
     return mc.Study(ishigami, {name: 0.0 for name in "abc"}, parameters, sampling)
+
+
+def test_sobol_indices_of_correlated_parameters_are_refused(tmp_path):
+    correlated = dataclasses.replace(study(mc.Saltelli(8, 3)), correlations={("a", "b"): 0.9})
+    with pytest.raises(mc.InvalidStudy, match="correlated"):
+        mc.sobol_indices(mc.sweep(correlated, tmp_path / "s"), "y")
 
 
 def test_sobol_indices_are_ishigamis(tmp_path):

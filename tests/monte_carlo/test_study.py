@@ -214,3 +214,22 @@ def test_clearance_is_a_result_where_obstacles_are_known():
     rows = jnp.array(0.0), none, none, one, one, one, None, ("corridor",), (), ()
     assert certificate_scalars(Certificate(*rows, clearance=jnp.array(0.2)))["clearance"] == 0.2
     assert "clearance" not in certificate_scalars(Certificate(*rows))
+
+
+def test_a_parameter_without_effect_is_refused():
+    first, second = (
+        mc.Parameter("x", mc.Uniform(0.0, 1.0), name, index=i) for name, i in (("a", -1), ("b", 2))
+    )
+    base = {"x": np.ones(3)}
+    with pytest.raises(mc.InvalidStudy, match="'b': sets an entry of x that an earlier parameter changes"):
+        mc.Study(lambda case: case, base, [first, second], mc.Independent(3))
+    added = mc.Parameter("x", mc.Uniform(5.0, 6.0), "b", index=2, change=mc.Add())
+    case = mc.Study(lambda case: case, base, [first, added], mc.Independent(3)).case(0)
+    assert 5.0 < case["x"][2] < 7.0
+
+
+@pytest.mark.usefixtures("no_type_checks")
+@pytest.mark.parametrize("parameters", [mc.Parameter("x", mc.Uniform(0.0, 1.0)), [mc.Uniform(0.0, 1.0)]])
+def test_parameters_are_a_list_of_them(parameters):
+    with pytest.raises(mc.InvalidStudy, match="parameters: expected a list of Parameter"):
+        mc.Study(lambda case: case, {"x": 1.0}, parameters, mc.Independent(3))

@@ -210,3 +210,16 @@ def test_a_file_of_another_class_names_the_function_that_reads_it(tmp_path):
     pytree_file.write(tmp_path / "solution.npz", {"solution": example()})
     with pytest.raises(ValueError, match=r"jaxscp\.Solution\.load\(file\)\.trajectory"):
         Trajectory.load(tmp_path / "solution.npz")
+
+
+def test_held_controls_stay_held_on_other_nodes():
+    """On nodes that contain the old ones, every control is the same; elsewhere it is right at the new nodes."""
+    times, controls = np.linspace(0.0, 2.0, 5), np.array([[1.0], [3.0], [-2.0], [5.0], [5.0]])
+    line = Trajectory.from_arrays(times, np.zeros((5, 1)), controls)
+    held = Trajectory(line.time, line.state, line.control, line.dilation, (0,))
+    finer, rest = held.resampled(9), held.remainder(0.1)
+    for time in (0.1, 0.45, 0.6, 1.2, 1.9):
+        np.testing.assert_array_equal(finer.control_at(time), held.control_at(time))
+    for time in np.asarray(rest.time)[:-1]:
+        np.testing.assert_array_equal(rest.control_at(time), held.control_at(time + 0.2))
+    assert np.all(np.isnan(jax.jit(lambda first: held.remainder(first).control)(1.5)))

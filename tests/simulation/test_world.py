@@ -103,3 +103,24 @@ def test_c_and_mjx_fly_the_same(run):
         mujoco.mj_step(model, data)
         found[i] = data.qpos
     assert np.abs(found - expected).max() < AGREEMENT
+
+
+@pytest.mark.usefixtures("no_type_checks")
+@pytest.mark.parametrize(
+    ("name", "vector"),
+    [("wind", (np.nan, 0.0, 0.0)), ("wind", (3.0, 0.0)), ("start", 2.0), ("velocity", "east")],
+)
+def test_vectors_are_three_finite_numbers(name, vector):
+    with pytest.raises(ValueError, match=f"{name}: expected three finite numbers"):
+        World.of(**{name: vector})
+
+
+def test_a_vehicle_that_the_world_cannot_hold_is_refused():
+    """MuJoCo's model would take earth's gravity and the diagonal of the inertia, and say nothing."""
+    mav = simulated_mav()
+    moon = eqx.tree_at(lambda a: a.body.gravity, mav, jnp.array([0.0, 0.0, -1.62]))
+    with pytest.raises(ValueError, match=r"airframe\.body\.gravity"):
+        World.of(airframe=moon)
+    skew = eqx.tree_at(lambda a: a.body.inertia, mav, mav.body.inertia.at[0, 1].add(1e-3))
+    with pytest.raises(ValueError, match=r"airframe\.body\.inertia"):
+        World.of(airframe=skew)
